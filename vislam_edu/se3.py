@@ -1,0 +1,289 @@
+"""SO(3) and SE(3): from twists to poses and back, and how both react to a small change.
+
+A twist is `[v, omega]` (translation first), shape (..., 6); a pose is (..., 4, 4). Names without prefix belong to
+SE(3), names that start with `so3_` to SO(3). Everything broadcasts over leading axes, so one function serves one
+pose and a whole trajectory. Functions of the rotation angle are exact at angle zero, near it, and near pi.
+
+This is not a pose class, and nothing here projects a matrix back onto the group: what goes in as a rotation must be one.
+
+Sources: report section 3.3.1; Barfoot, State Estimation for Robotics, chapter 7 (which names the same operators).
+"""
+
+from math import factorial
+
+import numpy as np
+
+# ---------------------------------------------------------------------------------------------------------------
+# Functions of the rotation angle
+# ---------------------------------------------------------------------------------------------------------------
+
+_SERIES_BELOW = 4.0  # squared angle; at 2 rad neither the series nor the closed forms have lost a digit worth having
+_ORDERS = np.arange(15)
+_SERIES = np.array(  # power series in t^2, one row per order and one column per function a ... e
+    [
+        [(-1) ** n * top / factorial(2 * n + i) for i, top in enumerate((1, 1, 1, n + 1, n + 1), start=1)]
+        for n in range(len(_ORDERS))
+    ]
+)
+
+
+def _angle_functions(phi):
+    """The five functions of the angle t = |phi| that every closed form below is made of, and t squared.
+
+    a = sin t / t,  b = (1 - cos t) / t^2,  c = (t - sin t) / t^3,  d = (b - a/2) / t^2,  e = (3c - b) / (2 t^2)
+
+    The closed forms of c, d and e subtract nearly equal numbers at small angles (e loses five powers of t), so
+    below 2 rad all five come from their power series in t^2.
+    """
+    t2 = np.sum(phi * phi, axis=-1)
+    small = t2 < _SERIES_BELOW
+    series = np.minimum(t2, _SERIES_BELOW)[..., None] ** _ORDERS @ _SERIES
+    u2 = np.maximum(t2, _SERIES_BELOW)
+    u = np.sqrt(u2)
+    a = np.sin(u) / u
+    b = 2.0 * np.sin(0.5 * u) ** 2 / u2
+    c = (1.0 - a) / u2
+    closed = (a, b, c, (b - 0.5 * a) / u2, (3.0 * c - b) / (2.0 * u2))
+    a, b, c, d, e = (np.where(small, series[..., i], f)[..., None, None] for i, f in enumerate(closed))
+    return a, b, c, d, e, t2[..., None, None]
+
+
+def _checked(value, shape, name):
+    """`value` as an array of floats whose last axes are `shape`; ValueError with the shape it got otherwise."""
+    value = np.asarray(value, dtype=float)
+    if value.shape[-len(shape):] != shape:
+        wanted = ", ".join(map(str, shape))
+        raise ValueError(f"{name} must have shape (..., {wanted}), got {value.shape}")
+    return value
+
+
+# ---------------------------------------------------------------------------------------------------------------
+# SO(3)
+# ---------------------------------------------------------------------------------------------------------------
+
+def so3_hat(omega):
+    """Skew-symmetric matrix: `so3_hat(a) @ b == cross(a, b)`. omega (..., 3); returns (..., 3, 3)."""
+    omega = _checked(omega, (3,), "omega")
+    x, y, z = omega[..., 0], omega[..., 1], omega[..., 2]
+    matrix = np.zeros(omega.shape + (3,))
+    matrix[..., 0, 1], matrix[..., 0, 2] = -z, y
+    matrix[..., 1, 0], matrix[..., 1, 2] = z, -x
+    matrix[..., 2, 0], matrix[..., 2, 1] = -y, x
+    return matrix
+
+
+def so3_vee(matrix):
+    """Inverse of `so3_hat`: the vector of a skew-symmetric matrix (..., 3, 3); returns (..., 3)."""
+    matrix = _checked(matrix, (3, 3), "matrix")
+    return np.stack([matrix[..., 2, 1], matrix[..., 0, 2], matrix[..., 1, 0]], axis=-1)
+
+
+def so3_exp(phi):
+    """Rotation matrix of a rotation vector: Rodrigues' formula. phi (..., 3), rad; returns (..., 3, 3)."""
+    phi = _checked(phi, (3,), "phi")
+    a, b, *_ = _angle_functions(phi)
+    S = so3_hat(phi)
+    return np.eye(3) + a * S + b * (S @ S)
+
+
+def so3_log(R):
+    """Rotation vector of a rotation matrix, angle in [0, pi]. R (..., 3, 3); returns (..., 3), rad.
+
+    Goes through the unit quaternion q = [w, x, y, z]: the trace and the skew part alone lose half of the digits near
+    pi. 4 q q^T is linear in R; any of its rows is q times a number, and the row of the largest diagonal entry
+    is the one that divides by nothing small. At exactly pi both signs of the axis are right; one is returned.
+    Source: Shepperd, Quaternion from rotation matrix, 1978.
+    """
+    R = _checked(R, (3, 3), "R")
+    Rt = np.swapaxes(R, -1, -2)
+    trace = np.trace(R, axis1=-2, axis2=-1)
+    qq = np.empty(R.shape[:-2] + (4, 4))
+    qq[..., 0, 0] = 1.0 + trace
+    qq[..., 0, 1:] = qq[..., 1:, 0] = so3_vee(R - Rt)
+    qq[..., 1:, 1:] = R + Rt + (1.0 - trace)[..., None, None] * np.eye(3)
+    largest = np.argmax(np.diagonal(qq, axis1=-2, axis2=-1), axis=-1)
+    q = np.take_along_axis(qq, largest[..., None, None], axis=-2)[..., 0, :]
+    q = q / np.linalg.norm(q, axis=-1, keepdims=True)
+    q = np.where(q[..., :1] < 0.0, -q, q)  # q and -q are one rotation; w >= 0 is the one with angle <= pi
+    w, xyz = q[..., :1], q[..., 1:]
+    sine = np.linalg.norm(xyz, axis=-1, keepdims=True)  # of half the angle
+    turned = sine > 0.0
+    return xyz * np.where(turned, 2.0 * np.arctan2(sine, w) / np.where(turned, sine, 1.0), 2.0)
+
+
+def so3_left_jacobian(phi):
+    """Left Jacobian: `so3_exp(phi + d) ~ so3_exp(so3_left_jacobian(phi) @ d) @ so3_exp(phi)` for small d.
+
+    phi (..., 3), rad; returns (..., 3, 3). Source: Barfoot, section 7.1.5.
+    """
+    phi = _checked(phi, (3,), "phi")
+    _, b, c, *_ = _angle_functions(phi)
+    S = so3_hat(phi)
+    return np.eye(3) + b * S + c * (S @ S)
+
+
+def so3_left_jacobian_inverse(phi):
+    """Inverse of `so3_left_jacobian`. phi (..., 3), rad; returns (..., 3, 3).
+
+    The inverse does not exist at angles of 2 pi, 4 pi, ... (never met by what `so3_log` returns).
+    """
+    phi = _checked(phi, (3,), "phi")
+    _, b, _, d, *_ = _angle_functions(phi)
+    S = so3_hat(phi)
+    return np.eye(3) - 0.5 * S + (d / b) * (S @ S)
+
+
+def so3_right_jacobian(phi):
+    """Right Jacobian: `so3_exp(phi + d) ~ so3_exp(phi) @ so3_exp(so3_right_jacobian(phi) @ d)` for small d."""
+    return so3_left_jacobian(-_checked(phi, (3,), "phi"))
+
+
+def so3_right_jacobian_inverse(phi):
+    """Inverse of `so3_right_jacobian`. phi (..., 3), rad; returns (..., 3, 3)."""
+    return so3_left_jacobian_inverse(-_checked(phi, (3,), "phi"))
+
+
+# ---------------------------------------------------------------------------------------------------------------
+# SE(3)
+# ---------------------------------------------------------------------------------------------------------------
+
+def pose(R, p):
+    """The pose `[[R, p], [0, 1]]`. R (..., 3, 3), p (..., 3), m; returns (..., 4, 4), leading axes broadcast."""
+    R, p = _checked(R, (3, 3), "R"), _checked(p, (3,), "p")
+    T = np.zeros(np.broadcast_shapes(R.shape[:-2], p.shape[:-1]) + (4, 4))
+    T[..., :3, :3] = R
+    T[..., :3, 3] = p
+    T[..., 3, 3] = 1.0
+    return T
+
+
+def inverse(T):
+    """Inverse pose `[[R^T, -R^T p], [0, 1]]`: `inverse(a_T_b) == b_T_a`. T (..., 4, 4); returns (..., 4, 4)."""
+    T = _checked(T, (4, 4), "T")
+    Rt = np.swapaxes(T[..., :3, :3], -1, -2)
+    return pose(Rt, -np.matvec(Rt, T[..., :3, 3]))
+
+
+def transform(T, points):
+    """Points in another frame: `transform(a_T_b, points_b) == points_a`.
+
+    T (..., 4, 4) and points (..., 3), m; their leading axes broadcast against each other. Returns (..., 3), m.
+    """
+    T, points = _checked(T, (4, 4), "T"), _checked(points, (3,), "points")
+    return np.matvec(T[..., :3, :3], points) + T[..., :3, 3]
+
+
+def hat(xi):
+    """Twist as a matrix of the Lie algebra: `[[omega^, v], [0, 0]]`. xi (..., 6); returns (..., 4, 4)."""
+    xi = _checked(xi, (6,), "xi")
+    matrix = np.zeros(xi.shape[:-1] + (4, 4))
+    matrix[..., :3, :3] = so3_hat(xi[..., 3:])
+    matrix[..., :3, 3] = xi[..., :3]
+    return matrix
+
+
+def vee(matrix):
+    """Inverse of `hat`. matrix (..., 4, 4); returns the twist (..., 6), `[v, omega]`."""
+    matrix = _checked(matrix, (4, 4), "matrix")
+    return np.concatenate([matrix[..., :3, 3], so3_vee(matrix[..., :3, :3])], axis=-1)
+
+
+def curly_hat(xi):
+    """Adjoint of the Lie algebra: `curly_hat(a) @ b == vee(hat(a) @ hat(b) - hat(b) @ hat(a))`.
+
+    `[[omega^, v^], [0, omega^]]`. xi (..., 6); returns (..., 6, 6). Source: report section 3.3.1.
+    """
+    xi = _checked(xi, (6,), "xi")
+    matrix = np.zeros(xi.shape + (6,))
+    matrix[..., :3, :3] = matrix[..., 3:, 3:] = so3_hat(xi[..., 3:])
+    matrix[..., :3, 3:] = so3_hat(xi[..., :3])
+    return matrix
+
+
+def exp(xi):
+    """Pose reached by following the constant twist xi for one unit of time.
+
+    xi (..., 6), `[v, omega]` times that time: m and rad. Returns (..., 4, 4).
+    The exponential series ends after the cube, because hat(xi)^4 = -t^2 hat(xi)^2 (t is the angle).
+    """
+    xi = _checked(xi, (6,), "xi")
+    _, b, c, *_ = _angle_functions(xi[..., 3:])
+    X = hat(xi)
+    XX = X @ X
+    return np.eye(4) + X + b * XX + c * (XX @ X)
+
+
+def log(T):
+    """Twist whose `exp` is T, with the rotation angle in [0, pi]. T (..., 4, 4); returns (..., 6), m and rad."""
+    T = _checked(T, (4, 4), "T")
+    phi = so3_log(T[..., :3, :3])
+    return np.concatenate([np.matvec(so3_left_jacobian_inverse(phi), T[..., :3, 3]), phi], axis=-1)
+
+
+def Adjoint(T):
+    """Carries a twist into another frame: `T @ exp(xi) == exp(Adjoint(T) @ xi) @ T`.
+
+    `[[R, p^ R], [0, R]]`. T (..., 4, 4); returns (..., 6, 6).
+    """
+    T = _checked(T, (4, 4), "T")
+    R = T[..., :3, :3]
+    matrix = np.zeros(T.shape[:-2] + (6, 6))
+    matrix[..., :3, :3] = matrix[..., 3:, 3:] = R
+    matrix[..., :3, 3:] = so3_hat(T[..., :3, 3]) @ R
+    return matrix
+
+
+def odot(point):
+    """Circled-dot operator: `hat(xi) @ [point, 1] == odot(point) @ xi` for every twist.
+
+    It turns "how does a point move when its frame is perturbed" into a matrix, which is what the pose Jacobian of
+    any camera needs.
+
+    point : (..., 3), metres, in the frame that xi perturbs.
+    Returns (..., 4, 6), columns ordered [v, omega].
+    Source: report section 3.3.1; Barfoot, State Estimation for Robotics, section 7.1.8.
+    """
+    point = _checked(point, (3,), "point")
+    matrix = np.zeros(point.shape[:-1] + (4, 6))
+    matrix[..., :3, :3] = np.eye(3)
+    matrix[..., :3, 3:] = -so3_hat(point)
+    return matrix
+
+
+def left_jacobian(xi):
+    """Left Jacobian: `exp(xi + d) ~ exp(left_jacobian(xi) @ d) @ exp(xi)` for small d.
+
+    xi (..., 6); returns (..., 6, 6). It is the series sum_n X^n / (n+1)! with X = curly_hat(xi). The series ends early because X (X^2 + t^2 I)^2 = 0,
+    where t is the rotation angle. At zero rotation it is `[[I, v^/2], [0, I]]`, not I.
+    Source: Barfoot, section 7.1.5; the off-diagonal block is Q of his equation 7.86b.
+    """
+    xi = _checked(xi, (6,), "xi")
+    _, b, c, d, e, t2 = _angle_functions(xi[..., 3:])
+    X = curly_hat(xi)
+    XX = X @ X
+    I = np.eye(6)
+    return I + b * X + c * XX + (d * X + e * XX) @ (XX + t2 * I)
+
+
+def left_jacobian_inverse(xi):
+    """Inverse of `left_jacobian`: `log(exp(d) @ exp(xi)) ~ xi + left_jacobian_inverse(xi) @ d` for small d.
+
+    xi (..., 6); returns (..., 6, 6). Does not exist at rotation angles of 2 pi, 4 pi, ...
+    """
+    xi = _checked(xi, (6,), "xi")
+    J_inverse = so3_left_jacobian_inverse(xi[..., 3:])
+    Q = left_jacobian(xi)[..., :3, 3:]
+    matrix = np.zeros(xi.shape + (6,))
+    matrix[..., :3, :3] = matrix[..., 3:, 3:] = J_inverse
+    matrix[..., :3, 3:] = -J_inverse @ Q @ J_inverse
+    return matrix
+
+
+def right_jacobian(xi):
+    """Right Jacobian: `exp(xi + d) ~ exp(xi) @ exp(right_jacobian(xi) @ d)` for small d. Shapes as on the left."""
+    return left_jacobian(-_checked(xi, (6,), "xi"))
+
+
+def right_jacobian_inverse(xi):
+    """Inverse of `right_jacobian`: `log(exp(xi) @ exp(d)) ~ xi + right_jacobian_inverse(xi) @ d` for small d."""
+    return left_jacobian_inverse(-_checked(xi, (6,), "xi"))
