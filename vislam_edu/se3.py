@@ -48,7 +48,7 @@ def _angle_functions(phi):
     return a, b, c, d, e, t2[..., None, None]
 
 
-def _checked(value, shape, name):
+def checked(value, shape, name):
     """`value` as an array of floats whose last axes are `shape`; ValueError with the shape it got otherwise."""
     value = np.asarray(value, dtype=float)
     if value.shape[-len(shape):] != shape:
@@ -63,7 +63,7 @@ def _checked(value, shape, name):
 
 def so3_hat(omega):
     """Skew-symmetric matrix: `so3_hat(a) @ b == cross(a, b)`. omega (..., 3); returns (..., 3, 3)."""
-    omega = _checked(omega, (3,), "omega")
+    omega = checked(omega, (3,), "omega")
     x, y, z = omega[..., 0], omega[..., 1], omega[..., 2]
     matrix = np.zeros(omega.shape + (3,))
     matrix[..., 0, 1], matrix[..., 0, 2] = -z, y
@@ -74,13 +74,13 @@ def so3_hat(omega):
 
 def so3_vee(matrix):
     """Inverse of `so3_hat`: the vector of a skew-symmetric matrix (..., 3, 3); returns (..., 3)."""
-    matrix = _checked(matrix, (3, 3), "matrix")
+    matrix = checked(matrix, (3, 3), "matrix")
     return np.stack([matrix[..., 2, 1], matrix[..., 0, 2], matrix[..., 1, 0]], axis=-1)
 
 
 def so3_exp(phi):
     """Rotation matrix of a rotation vector: Rodrigues' formula. phi (..., 3), rad; returns (..., 3, 3)."""
-    phi = _checked(phi, (3,), "phi")
+    phi = checked(phi, (3,), "phi")
     a, b, *_ = _angle_functions(phi)
     S = so3_hat(phi)
     return np.eye(3) + a * S + b * (S @ S)
@@ -94,7 +94,7 @@ def so3_log(R):
     is the one that divides by nothing small. At exactly pi both signs of the axis are right; one is returned.
     Source: Shepperd, Quaternion from rotation matrix, 1978.
     """
-    R = _checked(R, (3, 3), "R")
+    R = checked(R, (3, 3), "R")
     Rt = np.swapaxes(R, -1, -2)
     trace = np.trace(R, axis1=-2, axis2=-1)
     qq = np.empty(R.shape[:-2] + (4, 4))
@@ -116,7 +116,7 @@ def so3_left_jacobian(phi):
 
     phi (..., 3), rad; returns (..., 3, 3). Source: Barfoot, section 7.1.5.
     """
-    phi = _checked(phi, (3,), "phi")
+    phi = checked(phi, (3,), "phi")
     _, b, c, *_ = _angle_functions(phi)
     S = so3_hat(phi)
     return np.eye(3) + b * S + c * (S @ S)
@@ -127,7 +127,7 @@ def so3_left_jacobian_inverse(phi):
 
     The inverse does not exist at angles of 2 pi, 4 pi, ... (never met by what `so3_log` returns).
     """
-    phi = _checked(phi, (3,), "phi")
+    phi = checked(phi, (3,), "phi")
     _, b, _, d, *_ = _angle_functions(phi)
     S = so3_hat(phi)
     return np.eye(3) - 0.5 * S + (d / b) * (S @ S)
@@ -135,12 +135,12 @@ def so3_left_jacobian_inverse(phi):
 
 def so3_right_jacobian(phi):
     """Right Jacobian: `so3_exp(phi + d) ~ so3_exp(phi) @ so3_exp(so3_right_jacobian(phi) @ d)` for small d."""
-    return so3_left_jacobian(-_checked(phi, (3,), "phi"))
+    return so3_left_jacobian(-checked(phi, (3,), "phi"))
 
 
 def so3_right_jacobian_inverse(phi):
     """Inverse of `so3_right_jacobian`. phi (..., 3), rad; returns (..., 3, 3)."""
-    return so3_left_jacobian_inverse(-_checked(phi, (3,), "phi"))
+    return so3_left_jacobian_inverse(-checked(phi, (3,), "phi"))
 
 
 # ---------------------------------------------------------------------------------------------------------------
@@ -149,7 +149,7 @@ def so3_right_jacobian_inverse(phi):
 
 def pose(R, p):
     """The pose `[[R, p], [0, 1]]`. R (..., 3, 3), p (..., 3), m; returns (..., 4, 4), leading axes broadcast."""
-    R, p = _checked(R, (3, 3), "R"), _checked(p, (3,), "p")
+    R, p = checked(R, (3, 3), "R"), checked(p, (3,), "p")
     T = np.zeros(np.broadcast_shapes(R.shape[:-2], p.shape[:-1]) + (4, 4))
     T[..., :3, :3] = R
     T[..., :3, 3] = p
@@ -159,7 +159,7 @@ def pose(R, p):
 
 def inverse(T):
     """Inverse pose `[[R^T, -R^T p], [0, 1]]`: `inverse(a_T_b) == b_T_a`. T (..., 4, 4); returns (..., 4, 4)."""
-    T = _checked(T, (4, 4), "T")
+    T = checked(T, (4, 4), "T")
     Rt = np.swapaxes(T[..., :3, :3], -1, -2)
     return pose(Rt, -np.matvec(Rt, T[..., :3, 3]))
 
@@ -169,13 +169,13 @@ def transform(T, points):
 
     T (..., 4, 4) and points (..., 3), m; their leading axes broadcast against each other. Returns (..., 3), m.
     """
-    T, points = _checked(T, (4, 4), "T"), _checked(points, (3,), "points")
+    T, points = checked(T, (4, 4), "T"), checked(points, (3,), "points")
     return np.matvec(T[..., :3, :3], points) + T[..., :3, 3]
 
 
 def hat(xi):
     """Twist as a matrix of the Lie algebra: `[[omega^, v], [0, 0]]`. xi (..., 6); returns (..., 4, 4)."""
-    xi = _checked(xi, (6,), "xi")
+    xi = checked(xi, (6,), "xi")
     matrix = np.zeros(xi.shape[:-1] + (4, 4))
     matrix[..., :3, :3] = so3_hat(xi[..., 3:])
     matrix[..., :3, 3] = xi[..., :3]
@@ -184,7 +184,7 @@ def hat(xi):
 
 def vee(matrix):
     """Inverse of `hat`. matrix (..., 4, 4); returns the twist (..., 6), `[v, omega]`."""
-    matrix = _checked(matrix, (4, 4), "matrix")
+    matrix = checked(matrix, (4, 4), "matrix")
     return np.concatenate([matrix[..., :3, 3], so3_vee(matrix[..., :3, :3])], axis=-1)
 
 
@@ -193,7 +193,7 @@ def curly_hat(xi):
 
     `[[omega^, v^], [0, omega^]]`. xi (..., 6); returns (..., 6, 6). Source: report section 3.3.1.
     """
-    xi = _checked(xi, (6,), "xi")
+    xi = checked(xi, (6,), "xi")
     matrix = np.zeros(xi.shape + (6,))
     matrix[..., :3, :3] = matrix[..., 3:, 3:] = so3_hat(xi[..., 3:])
     matrix[..., :3, 3:] = so3_hat(xi[..., :3])
@@ -206,7 +206,7 @@ def exp(xi):
     xi (..., 6), `[v, omega]` times that time: m and rad. Returns (..., 4, 4).
     The exponential series ends after the cube, because hat(xi)^4 = -t^2 hat(xi)^2 (t is the angle).
     """
-    xi = _checked(xi, (6,), "xi")
+    xi = checked(xi, (6,), "xi")
     _, b, c, *_ = _angle_functions(xi[..., 3:])
     X = hat(xi)
     XX = X @ X
@@ -215,7 +215,7 @@ def exp(xi):
 
 def log(T):
     """Twist whose `exp` is T, with the rotation angle in [0, pi]. T (..., 4, 4); returns (..., 6), m and rad."""
-    T = _checked(T, (4, 4), "T")
+    T = checked(T, (4, 4), "T")
     phi = so3_log(T[..., :3, :3])
     return np.concatenate([np.matvec(so3_left_jacobian_inverse(phi), T[..., :3, 3]), phi], axis=-1)
 
@@ -225,7 +225,7 @@ def Adjoint(T):
 
     `[[R, p^ R], [0, R]]`. T (..., 4, 4); returns (..., 6, 6).
     """
-    T = _checked(T, (4, 4), "T")
+    T = checked(T, (4, 4), "T")
     R = T[..., :3, :3]
     matrix = np.zeros(T.shape[:-2] + (6, 6))
     matrix[..., :3, :3] = matrix[..., 3:, 3:] = R
@@ -243,7 +243,7 @@ def odot(point):
     Returns (..., 4, 6), columns ordered [v, omega].
     Source: report section 3.3.1; Barfoot, State Estimation for Robotics, section 7.1.8.
     """
-    point = _checked(point, (3,), "point")
+    point = checked(point, (3,), "point")
     matrix = np.zeros(point.shape[:-1] + (4, 6))
     matrix[..., :3, :3] = np.eye(3)
     matrix[..., :3, 3:] = -so3_hat(point)
@@ -257,7 +257,7 @@ def left_jacobian(xi):
     where t is the rotation angle. At zero rotation it is `[[I, v^/2], [0, I]]`, not I.
     Source: Barfoot, section 7.1.5; the off-diagonal block is Q of his equation 7.86b.
     """
-    xi = _checked(xi, (6,), "xi")
+    xi = checked(xi, (6,), "xi")
     _, b, c, d, e, t2 = _angle_functions(xi[..., 3:])
     X = curly_hat(xi)
     XX = X @ X
@@ -270,7 +270,7 @@ def left_jacobian_inverse(xi):
 
     xi (..., 6); returns (..., 6, 6). Does not exist at rotation angles of 2 pi, 4 pi, ...
     """
-    xi = _checked(xi, (6,), "xi")
+    xi = checked(xi, (6,), "xi")
     J_inverse = so3_left_jacobian_inverse(xi[..., 3:])
     Q = left_jacobian(xi)[..., :3, 3:]
     matrix = np.zeros(xi.shape + (6,))
@@ -281,9 +281,9 @@ def left_jacobian_inverse(xi):
 
 def right_jacobian(xi):
     """Right Jacobian: `exp(xi + d) ~ exp(xi) @ exp(right_jacobian(xi) @ d)` for small d. Shapes as on the left."""
-    return left_jacobian(-_checked(xi, (6,), "xi"))
+    return left_jacobian(-checked(xi, (6,), "xi"))
 
 
 def right_jacobian_inverse(xi):
     """Inverse of `right_jacobian`: `log(exp(xi) @ exp(d)) ~ xi + right_jacobian_inverse(xi) @ d` for small d."""
-    return left_jacobian_inverse(-_checked(xi, (6,), "xi"))
+    return left_jacobian_inverse(-checked(xi, (6,), "xi"))
