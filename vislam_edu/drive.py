@@ -1,0 +1,347 @@
+"""`Drive`: one recording of a vehicle with an IMU and a stereo camera.
+
+A drive holds what was measured (body twists and the pixels of tracked landmarks), the calibration, and the truth
+where there is one. It is not a filter's state and knows nothing about estimation. `recordings.py` reads and
+writes it.
+
+A landmark is in view in a few dozen of thousands of frames, so the dense (4, M, T) array of the course's files is almost
+empty (dataset 10: 1.3 GB). Inside, only what was seen is kept: one row per observation, sorted by frame.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from vislam_edu import se3
+from vislam_edu.stereo import StereoCamera
+
+_CHUNK = 1 << 20  # entries of the dense array looked at in one go: 32 MB
+
+
+class DriveError(ValueError):
+    """A recording that cannot be used; the message names the field, where in it, and what is wrong."""
+
+
+@dataclass(frozen=True, eq=False)
+class Drive:
+    """One recording, validated and read-only; T frames, M landmarks, N observations.
+
+    times           (T,) s, increasing; any start
+    twists          (T, 6) raw IMU samples [v, omega] in the IMU frame, m/s and rad/s
+    camera          calibration
+    frame_start     (T+1,) observations of frame k are the rows frame_start[k]:frame_start[k+1] of the next two
+    landmark        (N,) which landmark, in [0, M), ascending within a frame
+    pixels          (N, 4) [u_left, v_left, u_right, v_right], px
+    n_landmarks     M
+    imu_sample      which sample drives the step from k to k+1: "k", "k+1" or "mean" of both
+    truth_world_T_cam   (T, 4, 4) left camera poses in any world frame, NaN where there is none; or None
+    truth_landmarks     (M, 3) m in that same world frame, NaN where there is none; or None
+    history         what has been done to the recording, oldest first
+
+    A track has no gaps: once a landmark is out of view it never returns.
+    Raises DriveError (a ValueError) when a field breaks any of this.
+    """
+
+    times: np.ndarray
+    twists: np.ndarray
+    camera: StereoCamera
+    frame_start: np.ndarray
+    landmark: np.ndarray
+    pixels: np.ndarray
+    n_landmarks: int
+    name: str = ""
+    source: str = ""
+    imu_sample: str = "k"
+    truth_world_T_cam: np.ndarray | None = None
+    truth_landmarks: np.ndarray | None = None
+    history: tuple[str, ...] = ()
+
+    def __post_init__(self):
+        for field in ("times", "twists", "pixels", "truth_world_T_cam", "truth_landmarks"):
+            self._freeze(field, float)
+        for field in ("frame_start", "landmark"):
+            self._freeze(field, int)
+        object.__setattr__(self, "history", tuple(self.history))
+        _check_imu(self)
+        _check_observations(self)
+        _check_truth(self)
+
+    def _freeze(self, field, dtype):
+        value = getattr(self, field)
+        if value is None and field.startswith("truth"):
+            return
+        try:
+            value = np.array(value, dtype=dtype)
+        except (TypeError, ValueError) as error:
+            raise DriveError(f"{field}: {error}") from None
+        value.flags.writeable = False
+        object.__setattr__(self, field, value)
+
+    @classmethod
+    def from_features(cls, times, twists, features, camera, **fields) -> Drive:
+        """A drive from the course's dense array.
+
+        features : (4, M, T) px; an observation is missing when all its four numbers are NaN or all are -1.
+        Other arguments as for `Drive`. The array is read in pieces, so little memory is needed beyond its own.
+        Raises DriveError also for an observation of which only some of the four numbers are missing.
+        """
+        features = np.asarray(features)
+        n_frames = np.size(times)
+        if features.ndim != 3 or features.shape[0] != 4 or features.shape[2] != n_frames:
+            raise DriveError(f"features: shape {features.shape}, expected (4, landmarks, {n_frames}) "
+                             f"for {n_frames} frames")
+        if features.dtype.kind not in "fiu":
+            raise DriveError(f"features: holds {features.dtype}, expected numbers")
+        frame, landmark, pixels = _sparse(features)
+        return cls(times=times, twists=twists, camera=camera, landmark=landmark, pixels=pixels,
+                   frame_start=np.searchsorted(frame, np.arange(n_frames + 1)),
+                   n_landmarks=features.shape[1], **fields)
+
+    @property
+    def n_frames(self) -> int:
+        return len(self.times)
+
+    @property
+    def duration(self) -> float:
+        """Seconds from the first frame to the last."""
+        return float(self.times[-1] - self.times[0])
+
+    @property
+    def taus(self) -> np.ndarray:
+        """(T-1,) s, `tau_k = t_{k+1} - t_k`."""
+        return np.diff(self.times)
+
+    @property
+    def step_twists(self) -> np.ndarray:
+        """(T-1, 6) twist taken for the step from frame k to k+1, by `imu_sample`."""
+        before, after = self.twists[:-1], self.twists[1:]
+        return {"k": before, "k+1": after, "mean": (before + after) / 2}[self.imu_sample]
+
+    def observed(self, k) -> tuple[np.ndarray, np.ndarray]:
+        """Landmarks in view in frame k: ids (n,), ascending, and pixels (n, 4)."""
+        if not 0 <= k < self.n_frames:
+            raise IndexError(f"frame {k} of a drive with frames 0 to {self.n_frames - 1}")
+        rows = slice(self.frame_start[k], self.frame_start[k + 1])
+        return self.landmark[rows], self.pixels[rows]
+
+    @property
+    def features(self) -> np.ndarray:
+        """Dense (4, M, T) array, NaN where not seen: 32 M T bytes, so for small drives only."""
+        dense = np.full((4, self.n_landmarks, self.n_frames), np.nan)
+        dense[:, self.landmark, self.frame] = self.pixels.T
+        return dense
+
+    @cached_property
+    def frame(self) -> np.ndarray:
+        """(N,) frame of each observation."""
+        return np.repeat(np.arange(self.n_frames), self.visible)
+
+    @property
+    def visible(self) -> np.ndarray:
+        """(T,) number of landmarks in view."""
+        return np.diff(self.frame_start)
+
+    @cached_property
+    def first_seen(self) -> np.ndarray:
+        """(M,) frame in which each landmark is first seen, -1 when never."""
+        first = np.full(self.n_landmarks, -1)
+        first[self.landmark[::-1]] = self.frame[::-1]  # of several writes to one place the last one stays
+        return first
+
+    @cached_property
+    def last_seen(self) -> np.ndarray:
+        """(M,) frame in which each landmark is last seen, -1 when never."""
+        last = np.full(self.n_landmarks, -1)
+        last[self.landmark] = self.frame
+        return last
+
+    @cached_property
+    def true_world_T_imu(self) -> np.ndarray | None:
+        """(T, 4, 4) true IMU poses, NaN where there is none, or None; the world is the IMU frame at frame 0.
+
+        Where frame 0 has no truth, the world is the IMU frame at the first frame that has.
+        """
+        if self._imu_T_truth_world is None:
+            return None
+        return self._imu_T_truth_world @ self.truth_world_T_cam @ self.camera.cam_T_imu
+
+    @cached_property
+    def true_landmarks(self) -> np.ndarray | None:
+        """(M, 3) true landmarks, m, in the same world as `true_world_T_imu`, or None."""
+        if self._imu_T_truth_world is None or self.truth_landmarks is None:
+            return None
+        return se3.transform(self._imu_T_truth_world, self.truth_landmarks)
+
+    @cached_property
+    def _imu_T_truth_world(self):
+        if self.truth_world_T_cam is None:
+            return None
+        known = np.flatnonzero(np.isfinite(self.truth_world_T_cam[:, 0, 0]))
+        if not known.size:
+            return None
+        return se3.inverse(self.truth_world_T_cam[known[0]] @ self.camera.cam_T_imu)
+
+    def replace(self, **fields) -> Drive:
+        """A validated copy with these fields changed."""
+        return dataclasses.replace(self, **fields)
+
+    def slice(self, start, stop=None) -> Drive:
+        """Frames start to stop (excluded), counted as Python does; landmarks never seen there are dropped."""
+        start, stop, _ = slice(start, stop).indices(self.n_frames)
+        if start >= stop:
+            raise DriveError(f"slice: no frame from {start} to {stop} in a drive of {self.n_frames} frames")
+        first, end = self.frame_start[[start, stop]]
+        truth = self.truth_world_T_cam
+        part = self.replace(times=self.times[start:stop], twists=self.twists[start:stop],
+                            frame_start=self.frame_start[start:stop + 1] - first,
+                            landmark=self.landmark[first:end], pixels=self.pixels[first:end],
+                            truth_world_T_cam=None if truth is None else truth[start:stop])
+        return part.keep_landmarks(part.first_seen >= 0)
+
+    def between(self, t0, t1) -> Drive:
+        """The frames from t0 to t1 (both included), s since the drive's first frame."""
+        since_start = self.times - self.times[0]
+        start = np.searchsorted(since_start, t0, side="left")
+        stop = np.searchsorted(since_start, t1, side="right")
+        if start >= stop:
+            raise DriveError(f"between: no frame from {t0} s to {t1} s in a drive of {self.duration:.3f} s")
+        return self.slice(int(start), int(stop))
+
+    def thin(self, every=10) -> Drive:
+        """Every `every`-th landmark only (the report, section 4, keeps one in ten)."""
+        if every != int(every) or every < 1:
+            raise ValueError(f"every: {every}, expected a whole number of at least 1")
+        return self.keep_landmarks(np.arange(self.n_landmarks) % int(every) == 0)
+
+    def keep_landmarks(self, mask) -> Drive:
+        """Only the landmarks where mask (M,) is True, renumbered without gaps in their old order."""
+        mask = _mask(mask, self.n_landmarks, "landmarks")
+        rows = mask[self.landmark]
+        truth = self.truth_landmarks
+        return self.replace(frame_start=np.concatenate([[0], np.cumsum(rows)])[self.frame_start],
+                            landmark=(np.cumsum(mask) - 1)[self.landmark[rows]], pixels=self.pixels[rows],
+                            n_landmarks=int(mask.sum()), truth_landmarks=None if truth is None else truth[mask])
+
+    def keep_observations(self, mask) -> Drive:
+        """Only the observations where mask (N,) is True; landmarks left without any are dropped.
+
+        Raises DriveError when that would tear a gap into a track.
+        """
+        mask = _mask(mask, len(self.landmark), "observations")
+        part = self.replace(frame_start=np.concatenate([[0], np.cumsum(mask)])[self.frame_start],
+                            landmark=self.landmark[mask], pixels=self.pixels[mask])
+        return part.keep_landmarks(part.first_seen >= 0)
+
+
+def _mask(mask, size, what):
+    mask = np.asarray(mask)
+    if mask.dtype != bool or mask.shape != (size,):
+        raise ValueError(f"mask: {mask.dtype} of shape {mask.shape}, expected bool ({size},), one for each of the {what}")
+    return mask
+
+
+def _sparse(features):
+    """Frame (N,), landmark (N,) and pixels (N, 4) of all observations, sorted by frame and then by landmark."""
+    _, n_landmarks, n_frames = features.shape
+    step = max(1, _CHUNK // max(1, n_frames))
+    found = [(np.empty(0, int), np.empty(0, int), np.empty((0, 4)))]
+    for start in range(0, n_landmarks, step):
+        part = features[:, start:start + step]
+        absent, unset = np.isnan(part), part == -1
+        seen = ~(absent.all(axis=0) | unset.all(axis=0))
+        partial = seen & (absent | unset).any(axis=0)
+        if partial.any():
+            i, k = np.argwhere(partial)[0]
+            raise DriveError(f"features: landmark {start + i}, frame {k} is {part[:, i, k].tolist()}: only some of the "
+                             f"four numbers are missing; all four must be -1 where a landmark is not seen")
+        i, k = np.nonzero(seen)
+        pixels = part[:, i, k].T.astype(float)
+        if not np.isfinite(pixels).all():
+            row = np.argwhere(~np.isfinite(pixels))[0, 0]
+            raise DriveError(f"features: landmark {start + i[row]}, frame {k[row]} is {pixels[row].tolist()}: "
+                             f"not finite")
+        found.append((k, start + i, pixels))
+    frame, landmark, pixels = (np.concatenate(parts) for parts in zip(*found))
+    order = np.argsort(frame, kind="stable")  # stable: landmarks stay ascending within a frame
+    return frame[order], landmark[order], pixels[order]
+
+
+def _check_shape(name, value, shape):
+    if value.shape != shape:
+        raise DriveError(f"{name}: shape {value.shape}, expected {shape}")
+
+
+def _check_finite(name, value):
+    bad = np.argwhere(~np.isfinite(value))
+    if bad.size:
+        raise DriveError(f"{name}: {value[tuple(bad[0])]} at index {tuple(bad[0].tolist())}, "
+                         f"expected finite numbers only")
+
+
+def _check_imu(drive):
+    times = drive.times
+    if times.ndim != 1:
+        raise DriveError(f"times: shape {times.shape}, expected (T,)")
+    if not times.size:
+        raise DriveError("times: the recording is empty, it has no frame")
+    _check_finite("times", times)
+    stuck = np.flatnonzero(np.diff(times) <= 0)
+    if stuck.size:
+        k = stuck[0]
+        raise DriveError(f"times: do not increase, frame {k} is at {times[k]} s and frame {k + 1} at {times[k + 1]} s")
+    _check_shape("twists", drive.twists, (times.size, 6))
+    _check_finite("twists", drive.twists)
+    if drive.imu_sample not in ("k", "k+1", "mean"):
+        raise DriveError(f"imu_sample: {drive.imu_sample!r}, expected 'k', 'k+1' or 'mean'")
+    if not isinstance(drive.camera, StereoCamera):
+        raise DriveError(f"camera: {type(drive.camera).__name__}, expected a StereoCamera")
+
+
+def _check_observations(drive):
+    start, landmark = drive.frame_start, drive.landmark
+    _check_shape("frame_start", start, (drive.n_frames + 1,))
+    if landmark.ndim != 1:
+        raise DriveError(f"landmark: shape {landmark.shape}, expected (N,)")
+    _check_shape("pixels", drive.pixels, (landmark.size, 4))
+    _check_finite("pixels", drive.pixels)
+    if start[0] != 0 or start[-1] != landmark.size or (np.diff(start) < 0).any():
+        raise DriveError(f"frame_start: must rise from 0 to the {landmark.size} observations, never falling")
+    outside = np.flatnonzero((landmark < 0) | (landmark >= drive.n_landmarks))
+    if outside.size:
+        raise DriveError(f"landmark: {landmark[outside[0]]} at index {outside[0]}, expected 0 to {drive.n_landmarks - 1}")
+    disorder = np.flatnonzero((np.diff(landmark) <= 0) & (np.diff(drive.frame) == 0))
+    if disorder.size:
+        raise DriveError(f"landmark: not ascending within frame {drive.frame[disorder[0]]} (index {disorder[0]})")
+    length = drive.last_seen - drive.first_seen + 1
+    torn = np.flatnonzero((drive.first_seen >= 0) & (np.bincount(landmark, minlength=length.size) != length))
+    if torn.size:
+        seen = drive.frame[landmark == torn[0]]
+        gap = np.flatnonzero(np.diff(seen) > 1)[0]
+        raise DriveError(f"features: landmark {torn[0]} is seen in frame {seen[gap]}, then not, and again in frame "
+                         f"{seen[gap + 1]}; a track that comes back must be a new landmark")
+
+
+def _check_truth(drive):
+    poses, landmarks = drive.truth_world_T_cam, drive.truth_landmarks
+    if poses is not None:
+        _check_shape("truth_world_T_cam", poses, (drive.n_frames, 4, 4))
+        known = np.isfinite(poses).all(axis=(1, 2))
+        broken = np.flatnonzero(~known & ~np.isnan(poses).all(axis=(1, 2)))
+        if broken.size:
+            raise DriveError(f"truth_world_T_cam: frame {broken[0]} is neither a pose nor all NaN")
+        R = poses[:, :3, :3]
+        rigid = (np.abs(R @ R.mT - np.eye(3)).max(axis=(1, 2)) < 1e-6) & (np.linalg.det(R) > 0)
+        rigid &= (poses[:, 3] == [0, 0, 0, 1]).all(axis=1)
+        broken = np.flatnonzero(known & ~rigid)
+        if broken.size:
+            raise DriveError(f"truth_world_T_cam: frame {broken[0]} is not a rigid motion")
+    if landmarks is not None:
+        if poses is None:
+            raise DriveError("truth_landmarks: given without truth_world_T_cam, so their world frame is unknown")
+        _check_shape("truth_landmarks", landmarks, (drive.n_landmarks, 3))
+        if np.isinf(landmarks).any():
+            raise DriveError(f"truth_landmarks: infinite at landmark {np.argwhere(np.isinf(landmarks))[0, 0]}")
