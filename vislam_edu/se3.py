@@ -1,23 +1,26 @@
 """SO(3) and SE(3): from twists to poses and back, and how both react to a small change.
 
-A twist is `[v, omega]` (translation first), shape (..., 6); a pose is (..., 4, 4). Names without prefix belong to
-SE(3), names that start with `so3_` to SO(3). Everything broadcasts over leading axes, so one function serves one
-pose and a whole trajectory. Functions of the rotation angle are exact at angle zero, near it, and near pi.
+A twist is `[v, omega]` (translation first), shape (..., 6); a pose is (..., 4, 4). Names without prefix
+belong to SE(3), names that start with `so3_` to SO(3). Everything broadcasts over leading axes, so one
+function serves one pose and a whole trajectory. Functions of the rotation angle are exact at angle zero, near
+it, and near pi.
 
-This is not a pose class, and nothing here projects a matrix back onto the group: what goes in as a rotation must be one.
+This is not a pose class, and nothing here projects a matrix back onto the group: what goes in as a rotation
+must be one.
 
-Sources: report section 3.3.1; Barfoot, State Estimation for Robotics, chapter 7 (which names the same operators).
+Sources: report section 3.3.1; Barfoot, State Estimation for Robotics, chapter 7 (which names the same
+operators).
 """
 
 from math import factorial
 
 import numpy as np
 
-# ---------------------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 # Functions of the rotation angle
-# ---------------------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
-_SERIES_BELOW = 4.0  # squared angle; at 2 rad neither the series nor the closed forms have lost a digit worth having
+_SERIES_BELOW = 4.0  # rad^2, squared angle: at 2 rad series and closed forms agree to 1e-15
 _ORDERS = np.arange(15)
 _SERIES = np.array(  # power series in t^2, one row per order and one column per function a ... e
     [
@@ -30,10 +33,11 @@ _SERIES = np.array(  # power series in t^2, one row per order and one column per
 def _angle_functions(phi):
     """The five functions of the angle t = |phi| that every closed form below is made of, and t squared.
 
-    a = sin t / t,  b = (1 - cos t) / t^2,  c = (t - sin t) / t^3,  d = (b - a/2) / t^2,  e = (3c - b) / (2 t^2)
+    a = sin t / t,  b = (1 - cos t) / t^2,  c = (t - sin t) / t^3,
+    d = (b - a/2) / t^2,  e = (3c - b) / (2 t^2)
 
-    The closed forms of c, d and e subtract nearly equal numbers at small angles (e loses five powers of t), so
-    below 2 rad all five come from their power series in t^2.
+    The closed forms of c, d and e subtract nearly equal numbers at small angles (e loses five powers of t),
+    so below 2 rad all five come from their power series in t^2.
     """
     t2 = np.sum(phi * phi, axis=-1)
     small = t2 < _SERIES_BELOW
@@ -49,7 +53,7 @@ def _angle_functions(phi):
 
 
 def checked(value, shape, name):
-    """`value` as an array of floats whose last axes are `shape`; ValueError with the shape it got otherwise."""
+    """`value` as an array of floats whose last axes are `shape`, or a ValueError that names the shape it got."""
     value = np.asarray(value, dtype=float)
     if value.shape[-len(shape):] != shape:
         wanted = ", ".join(map(str, shape))
@@ -57,9 +61,9 @@ def checked(value, shape, name):
     return value
 
 
-# ---------------------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 # SO(3)
-# ---------------------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 def so3_hat(omega):
     """Skew-symmetric matrix: `so3_hat(a) @ b == cross(a, b)`. omega (..., 3); returns (..., 3, 3)."""
@@ -89,9 +93,10 @@ def so3_exp(phi):
 def so3_log(R):
     """Rotation vector of a rotation matrix, angle in [0, pi]. R (..., 3, 3); returns (..., 3), rad.
 
-    Goes through the unit quaternion q = [w, x, y, z]: the trace and the skew part alone lose half of the digits near
-    pi. 4 q q^T is linear in R; any of its rows is q times a number, and the row of the largest diagonal entry
-    is the one that divides by nothing small. At exactly pi both signs of the axis are right; one is returned.
+    Goes through the unit quaternion q = [w, x, y, z]: the trace and the skew part alone lose half of the
+    digits near pi. 4 q q^T is linear in R; any of its rows is q times a number, and the row of the largest
+    diagonal entry is the one that divides by nothing small. At exactly pi both signs of the axis are right;
+    one is returned.
     Source: Shepperd, Quaternion from rotation matrix, 1978.
     """
     R = checked(R, (3, 3), "R")
@@ -134,7 +139,10 @@ def so3_left_jacobian_inverse(phi):
 
 
 def so3_right_jacobian(phi):
-    """Right Jacobian: `so3_exp(phi + d) ~ so3_exp(phi) @ so3_exp(so3_right_jacobian(phi) @ d)` for small d."""
+    """Right Jacobian: `so3_exp(phi + d) ~ so3_exp(phi) @ so3_exp(so3_right_jacobian(phi) @ d)` for small d.
+
+    phi (..., 3), rad; returns (..., 3, 3).
+    """
     return so3_left_jacobian(-checked(phi, (3,), "phi"))
 
 
@@ -143,12 +151,12 @@ def so3_right_jacobian_inverse(phi):
     return so3_left_jacobian_inverse(-checked(phi, (3,), "phi"))
 
 
-# ---------------------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 # SE(3)
-# ---------------------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 def pose(R, p):
-    """The pose `[[R, p], [0, 1]]`. R (..., 3, 3), p (..., 3), m; returns (..., 4, 4), leading axes broadcast."""
+    """The pose `[[R, p], [0, 1]]`. R (..., 3, 3), p (..., 3), m, which broadcast; returns (..., 4, 4)."""
     R, p = checked(R, (3, 3), "R"), checked(p, (3,), "p")
     T = np.zeros(np.broadcast_shapes(R.shape[:-2], p.shape[:-1]) + (4, 4))
     T[..., :3, :3] = R
@@ -158,7 +166,7 @@ def pose(R, p):
 
 
 def inverse(T):
-    """Inverse pose `[[R^T, -R^T p], [0, 1]]`: `inverse(a_T_b) == b_T_a`. T (..., 4, 4); returns (..., 4, 4)."""
+    """Inverse pose `[[R^T, -R^T p], [0, 1]]`: `inverse(a_T_b) == b_T_a`. T and the result (..., 4, 4)."""
     T = checked(T, (4, 4), "T")
     Rt = np.swapaxes(T[..., :3, :3], -1, -2)
     return pose(Rt, -np.matvec(Rt, T[..., :3, 3]))
@@ -167,7 +175,7 @@ def inverse(T):
 def transform(T, points):
     """Points in another frame: `transform(a_T_b, points_b) == points_a`.
 
-    T (..., 4, 4) and points (..., 3), m; their leading axes broadcast against each other. Returns (..., 3), m.
+    T (..., 4, 4) and points (..., 3), m; their leading axes broadcast. Returns (..., 3), m.
     """
     T, points = checked(T, (4, 4), "T"), checked(points, (3,), "points")
     return np.matvec(T[..., :3, :3], points) + T[..., :3, 3]
@@ -214,7 +222,7 @@ def exp(xi):
 
 
 def log(T):
-    """Twist whose `exp` is T, with the rotation angle in [0, pi]. T (..., 4, 4); returns (..., 6), m and rad."""
+    """Twist whose `exp` is T, rotation angle in [0, pi]. T (..., 4, 4); returns (..., 6), m and rad."""
     T = checked(T, (4, 4), "T")
     phi = so3_log(T[..., :3, :3])
     return np.concatenate([np.matvec(so3_left_jacobian_inverse(phi), T[..., :3, 3]), phi], axis=-1)
@@ -236,8 +244,8 @@ def Adjoint(T):
 def odot(point):
     """Circled-dot operator: `hat(xi) @ [point, 1] == odot(point) @ xi` for every twist.
 
-    It turns "how does a point move when its frame is perturbed" into a matrix, which is what the pose Jacobian of
-    any camera needs.
+    It turns "how does a point move when its frame is perturbed" into a matrix, which is what the pose
+    Jacobian of any camera needs.
 
     point : (..., 3), metres, in the frame that xi perturbs.
     Returns (..., 4, 6), columns ordered [v, omega].
@@ -253,16 +261,16 @@ def odot(point):
 def left_jacobian(xi):
     """Left Jacobian: `exp(xi + d) ~ exp(left_jacobian(xi) @ d) @ exp(xi)` for small d.
 
-    xi (..., 6); returns (..., 6, 6). It is the series sum_n X^n / (n+1)! with X = curly_hat(xi). The series ends early because X (X^2 + t^2 I)^2 = 0,
-    where t is the rotation angle. At zero rotation it is `[[I, v^/2], [0, I]]`, not I.
-    Source: Barfoot, section 7.1.5; the off-diagonal block is Q of his equation 7.86b.
+    xi (..., 6); returns (..., 6, 6). At zero rotation it is `[[I, v^/2], [0, I]]`, not I.
+    The series sum_n X^n / (n+1)! with X = curly_hat(xi) ends with X^4, because X (X^2 + t^2 I)^2 = 0, t the
+    rotation angle. Source: Barfoot, section 7.1.5; the off-diagonal block is Q of his equation 7.86b.
     """
     xi = checked(xi, (6,), "xi")
     _, b, c, d, e, t2 = _angle_functions(xi[..., 3:])
     X = curly_hat(xi)
     XX = X @ X
-    I = np.eye(6)
-    return I + b * X + c * XX + (d * X + e * XX) @ (XX + t2 * I)
+    one = np.eye(6)
+    return one + b * X + c * XX + (d * X + e * XX) @ (XX + t2 * one)
 
 
 def left_jacobian_inverse(xi):
@@ -280,10 +288,16 @@ def left_jacobian_inverse(xi):
 
 
 def right_jacobian(xi):
-    """Right Jacobian: `exp(xi + d) ~ exp(xi) @ exp(right_jacobian(xi) @ d)` for small d. Shapes as on the left."""
+    """Right Jacobian: `exp(xi + d) ~ exp(xi) @ exp(right_jacobian(xi) @ d)` for small d.
+
+    xi (..., 6); returns (..., 6, 6).
+    """
     return left_jacobian(-checked(xi, (6,), "xi"))
 
 
 def right_jacobian_inverse(xi):
-    """Inverse of `right_jacobian`: `log(exp(xi) @ exp(d)) ~ xi + right_jacobian_inverse(xi) @ d` for small d."""
+    """Inverse of `right_jacobian`: `log(exp(xi) @ exp(d)) ~ xi + right_jacobian_inverse(xi) @ d` for small d.
+
+    xi (..., 6); returns (..., 6, 6).
+    """
     return left_jacobian_inverse(-checked(xi, (6,), "xi"))

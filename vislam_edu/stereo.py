@@ -1,13 +1,14 @@
 """The stereo camera: from points to pixels and back, and how both react to a small change.
 
-A rectified pair of pinhole cameras. A pixel measurement is `[u_left, v_left, u_right, v_right]`, px, shape (..., 4);
-points in the camera frame are those of the left camera (x right, y down, z forward), m. The right camera sits
-`baseline` metres along x. There is no lens distortion here: the pixels of a recording must be rectified.
+A rectified pair of pinhole cameras. A pixel measurement is `[u_left, v_left, u_right, v_right]`, px, shape
+(..., 4); points in the camera frame are those of the left camera (x right, y down, z forward), m. The right
+camera sits `baseline` metres along x. There is no lens distortion here: the pixels of a recording must be
+rectified.
 
 v_left and v_right share one model, so the four rows of a measurement carry three numbers.
 
-Points that no camera can see (at or behind the image plane, disparity not positive, NaN) come back as a False in a
-mask beside a finite placeholder, `PLACEHOLDER`: a point one metre along the optical axis.
+Points that no camera can see (at or behind the image plane, disparity not positive, NaN) come back as a False
+in a mask beside a finite placeholder, `PLACEHOLDER`: a point one metre along the optical axis.
 
 Source: report section 3.2.
 """
@@ -29,7 +30,7 @@ _MIN_PARALLAX = 1e-9  # rad; two bearings that differ by less are parallel to ro
 
 
 def pi(q):
-    """Projection `q / q_3` of homogeneous coordinates. q (..., 4) with q_3 (the depth) not zero; returns (..., 4).
+    """Projection `q / q_3` of homogeneous coordinates. q (..., 4), its depth q_3 not zero; returns (..., 4).
 
     Source: report section 3.2.2.
     """
@@ -63,16 +64,16 @@ def triangulate_bearings(z1, z2, R, p):
 
     z1, z2 : (..., 3), bearings `K^-1 [u, v, 1]` (third entry 1) in camera 1 and in camera 2.
     R, p : (..., 3, 3) and (..., 3) m, the pose of camera 2 in the frame of camera 1.
-    Returns (points, ok): points (..., 3), m, in the frame of camera 1, and ok (...), which is False where the bearings
-    are parallel or meet behind either camera.
+    Returns (points, ok): points (..., 3), m, in the frame of camera 1, and ok (...), which is False where the
+    bearings are parallel or meet behind either camera.
 
     With depths l1 and l2, `l1 R^T z1 - R^T p = l2 z2`. The third row gives l2; put into the others it leaves
-    `l1 a = b`, solved by least squares as `l1 = a^T b / a^T a`. The point lies on the first bearing: the second one
-    decides the depth only.
+    `l1 a = b`, solved by least squares as `l1 = a^T b / a^T a`. The point lies on the first bearing: the
+    second one decides the depth only.
 
-    For a rectified pair (R = I, p = [baseline, 0, 0]) this is the disparity form, `StereoCamera.triangulate`, exactly
-    when v_left == v_right. A vertical disparity dv shortens the depth here, by 1 / (1 + (dv/du)^2) in units of the
-    focal lengths, whereas `triangulate` leaves the depth and averages the rows.
+    For a rectified pair (R = I, p = [baseline, 0, 0]) this is the disparity form, `StereoCamera.triangulate`,
+    exactly when v_left == v_right. A vertical disparity dv shortens the depth here, by 1 / (1 + (dv/du)^2) in
+    units of the focal lengths, whereas `triangulate` leaves the depth and averages the rows.
     Source: report section 3.2.1.
     """
     z1, seen1 = _finite(checked(z1, (3,), "z1"))
@@ -106,12 +107,13 @@ class StereoCamera:
     cam_T_imu: np.ndarray
 
     def __post_init__(self):
-        K, baseline, cam_T_imu = _read_only(self.K, "K"), float(self.baseline), _read_only(self.cam_T_imu, "cam_T_imu")
+        K, cam_T_imu = _read_only(self.K, "K"), _read_only(self.cam_T_imu, "cam_T_imu")
+        baseline = _read_only(self.baseline, "baseline")
         _check_calibration(K)
-        if not (np.isfinite(baseline) and baseline > 0.0):
-            raise ValueError(f"baseline must be a positive length in metres, got {baseline}")
+        if not (baseline.size == 1 and np.isfinite(baseline).all() and (baseline > 0.0).all()):
+            raise ValueError(f"baseline must be one positive length in metres, got {self.baseline}")
         _check_pose(cam_T_imu, "cam_T_imu")
-        for field, value in (("K", K), ("baseline", baseline), ("cam_T_imu", cam_T_imu)):
+        for field, value in (("K", K), ("baseline", baseline.item()), ("cam_T_imu", cam_T_imu)):
             object.__setattr__(self, field, value)
 
     @cached_property
@@ -121,7 +123,7 @@ class StereoCamera:
 
     @cached_property
     def K_s(self):
-        """Stereo calibration matrix (4, 4), px, read-only: `pixels = K_s @ pi(q)`. Source: report section 3.2.2."""
+        """Stereo calibration matrix (4, 4), read-only: `pixels = K_s @ pi(q)`. Source: report 3.2.2."""
         (fu, _, cu), (_, fv, cv), _ = self.K
         rows = [[fu, 0, cu, 0], [0, fv, cv, 0], [fu, 0, cu, -fu * self.baseline], [0, fv, cv, 0]]
         return _read_only(rows, "K_s")
@@ -129,11 +131,11 @@ class StereoCamera:
     # Frames
 
     def to_cam(self, world_T_imu, landmarks):
-        """Landmarks (..., 3) of the world frame in the camera frame, (..., 3), m, seen from world_T_imu (..., 4, 4)."""
+        """World to camera frame. world_T_imu (..., 4, 4), landmarks (..., 3), m; returns (..., 3), m."""
         return se3.transform(self.cam_T_imu @ se3.inverse(world_T_imu), landmarks)
 
     def to_world(self, world_T_imu, points_cam):
-        """Points (..., 3) of the camera frame in the world frame, (..., 3), m, seen from world_T_imu (..., 4, 4)."""
+        """Camera to world frame. world_T_imu (..., 4, 4), points_cam (..., 3), m; returns (..., 3), m."""
         return se3.transform(checked(world_T_imu, (4, 4), "world_T_imu") @ self.imu_T_cam, points_cam)
 
     # Points to pixels
@@ -141,18 +143,19 @@ class StereoCamera:
     def project(self, points_cam):
         """Pixels of points in the camera frame: `K_s pi(q)`.
 
-        points_cam (..., 3), m. Returns (pixels, in_front): pixels (..., 4), px, always finite, and in_front (...),
-        False where the point is not in front of the camera and the pixels are those of `PLACEHOLDER`.
+        points_cam (..., 3), m. Returns (pixels, in_front): pixels (..., 4), px, always finite, and in_front
+        (...), False where the point is not in front of the camera and the pixels are those of `PLACEHOLDER`.
         Pixels may lie outside the image: the camera does not know its size.
         """
         q, in_front = _homogeneous(points_cam)
         return np.matvec(self.K_s, pi(q)), in_front
 
     def projection_jacobian(self, points_cam):
-        """Derivative of the pixels by the homogeneous point, `K_s dpi/dq`: points_cam (..., 3), m; returns (..., 4, 4).
+        """Derivative of the pixels by the homogeneous point, `K_s dpi/dq`.
 
-        This Jacobian and those below are finite everywhere, but where `project` says that a point is not in front they
-        belong to `PLACEHOLDER` and must not be used.
+        points_cam (..., 3), m, in the camera frame. Returns (..., 4, 4); the first three columns are px/m.
+        This Jacobian and those below are finite everywhere, but where `project` says that a point is not in
+        front they belong to `PLACEHOLDER` and must not be used.
         """
         q, _ = _homogeneous(points_cam)
         return self.K_s @ dpi_dq(q)
@@ -169,7 +172,8 @@ class StereoCamera:
     def observe(self, world_T_imu, landmarks):
         """Observation model `h(T, m) = K_s pi(cam_T_imu T^-1 m)`.
 
-        world_T_imu (..., 4, 4); landmarks (..., 3), m, world frame. Returns (pixels, in_front) as `project` does.
+        world_T_imu (..., 4, 4); landmarks (..., 3), m, world frame. Returns (pixels, in_front) as `project`
+        does.
         Source: report section 3.2.2, with T^-1 of the same time where it writes T_{t-1}.
         """
         return self.project(self.to_cam(world_T_imu, landmarks))
@@ -198,11 +202,12 @@ class StereoCamera:
     def triangulate(self, pixels, min_disparity=0.0):
         """Point of a pixel measurement, from the disparity `d = u_left - u_right`: depth `f_u baseline / d`.
 
-        pixels (..., 4), px. Returns (points_cam, ok): points_cam (..., 3), m, in the camera frame, always finite, and
-        ok (...), False where d <= min_disparity (px) or a pixel is NaN; the point is then `PLACEHOLDER`.
+        pixels (..., 4), px. Returns (points_cam, ok): points_cam (..., 3), m, in the camera frame, always
+        finite, and ok (...), False where d <= min_disparity (px) or a pixel is NaN; the point is then
+        `PLACEHOLDER`.
 
-        This is the maximum likelihood point for equal noise on all four pixels: u_left and u_right fix x and z,
-        and the mean of v_left and v_right fixes y. Without noise it inverts `project`.
+        This is the maximum likelihood point for equal noise on all four pixels: u_left and u_right fix x and
+        z, and the mean of v_left and v_right fixes y. Without noise it inverts `project`.
         """
         pixels, seen = _finite(checked(pixels, (4,), "pixels"))
         u_left, v_left, u_right, v_right = np.moveaxis(pixels, -1, 0)
@@ -215,8 +220,8 @@ class StereoCamera:
     def triangulation_covariance(self, points_cam, sigma_px):
         """Covariance of a triangulated point, `(H^T V^-1 H)^-1` with V = sigma_px^2 I, to first order.
 
-        points_cam (..., 3), m, in the camera frame, in front of it; sigma_px > 0, px, of each of the four pixels.
-        Returns (..., 3, 3), m^2, in the camera frame. Its depth entry grows with the fourth power of the depth.
+        points_cam (..., 3), m, in the camera frame, in front of it; sigma_px > 0, px, of each coordinate.
+        Returns (..., 3, 3), m^2, in the camera frame. The depth entry grows with depth to the fourth power.
         """
         if not sigma_px > 0.0:
             raise ValueError(f"sigma_px must be positive, got {sigma_px}")
@@ -234,7 +239,7 @@ def _homogeneous(points):
 
 
 def _finite(values):
-    """Values (..., n) with zeros in every row that holds NaN or infinity, and the mask (...) of the rows that do not."""
+    """Values (..., n) with zeros where a row holds NaN or infinity, and the mask (...) of finite rows."""
     finite = np.isfinite(values).all(axis=-1)
     return np.where(finite[..., None], values, 0.0), finite
 
@@ -255,7 +260,8 @@ def _check_calibration(K):
     pattern = np.array([[fu, 0.0, K[0, 2]], [0.0, fv, K[1, 2]], [0.0, 0.0, 1.0]])
     if not (np.isfinite(K).all() and fu > 0.0 and fv > 0.0 and np.array_equal(K, pattern)):
         raise ValueError(
-            f"K must be [[f_u, 0, c_u], [0, f_v, c_v], [0, 0, 1]] with positive focal lengths, got {K.tolist()}"
+            "K must be [[f_u, 0, c_u], [0, f_v, c_v], [0, 0, 1]] with positive focal lengths, "
+            f"got {K.tolist()}"
         )
 
 
@@ -269,6 +275,6 @@ def _check_pose(T, name):
     R = T[:3, :3]
     if not np.allclose(R.T @ R, np.eye(3), rtol=0.0, atol=1e-5):
         off = np.abs(R.T @ R - np.eye(3)).max()
-        raise ValueError(f"{name} must hold a rotation; its columns are off orthonormal by {off:.1e} (1e-5 allowed)")
+        raise ValueError(f"{name} must hold a rotation; it is off orthonormal by {off:.1e} (1e-5 allowed)")
     if np.linalg.det(R) < 0.0:
-        raise ValueError(f"{name} must hold a rotation, but mirrors (determinant -1): an axis has the wrong sign")
+        raise ValueError(f"{name} must hold a rotation, but mirrors (determinant -1): one axis is flipped")
