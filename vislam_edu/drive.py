@@ -1,11 +1,11 @@
 """`Drive`: one recording of a vehicle with an IMU and a stereo camera.
 
-A drive holds what was measured (body twists and the pixels of tracked landmarks), the calibration, and the truth
-where there is one. It is not a filter's state and knows nothing about estimation. `recordings.py` reads and
-writes it.
+A drive holds what was measured (body twists and the pixels of tracked landmarks), the calibration, and the
+truth where there is one. It is not a filter's state and knows nothing about estimation. `recordings.py` reads
+and writes it.
 
-A landmark is in view in a few dozen of thousands of frames, so the dense (4, M, T) array of the course's files is almost
-empty (dataset 10: 1.3 GB). Inside, only what was seen is kept: one row per observation, sorted by frame.
+A landmark is in view in a dozen of a thousand frames, so the dense (4, M, T) array of the course's files is
+almost empty (dataset 10: 1.3 GB). Inside, only what was seen is kept: one row per observation, by frame.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from functools import cached_property
 
 import numpy as np
 
-from vislam_edu import se3
-from vislam_edu.stereo import StereoCamera
+from . import se3
+from .stereo import StereoCamera
 
 _CHUNK = 1 << 20  # entries of the dense array looked at in one go: 32 MB
 
@@ -33,7 +33,7 @@ class Drive:
     times           (T,) s, increasing; any start
     twists          (T, 6) raw IMU samples [v, omega] in the IMU frame, m/s and rad/s
     camera          calibration
-    frame_start     (T+1,) observations of frame k are the rows frame_start[k]:frame_start[k+1] of the next two
+    frame_start     (T+1,) rows frame_start[k]:frame_start[k+1] of the next two belong to frame k
     landmark        (N,) which landmark, in [0, M), ascending within a frame
     pixels          (N, 4) [u_left, v_left, u_right, v_right], px
     n_landmarks     M
@@ -86,7 +86,7 @@ class Drive:
         """A drive from the course's dense array.
 
         features : (4, M, T) px; an observation is missing when all its four numbers are NaN or all are -1.
-        Other arguments as for `Drive`. The array is read in pieces, so little memory is needed beyond its own.
+        Other arguments as for `Drive`. The array is read in pieces, so little memory is needed beyond it.
         Raises DriveError also for an observation of which only some of the four numbers are missing.
         """
         features = np.asarray(features)
@@ -221,10 +221,10 @@ class Drive:
         """Only the landmarks where mask (M,) is True, renumbered without gaps in their old order."""
         mask = _mask(mask, self.n_landmarks, "landmarks")
         rows = mask[self.landmark]
-        truth = self.truth_landmarks
+        truth = None if self.truth_landmarks is None else self.truth_landmarks[mask]
         return self.replace(frame_start=np.concatenate([[0], np.cumsum(rows)])[self.frame_start],
                             landmark=(np.cumsum(mask) - 1)[self.landmark[rows]], pixels=self.pixels[rows],
-                            n_landmarks=int(mask.sum()), truth_landmarks=None if truth is None else truth[mask])
+                            n_landmarks=int(mask.sum()), truth_landmarks=truth)
 
     def keep_observations(self, mask) -> Drive:
         """Only the observations where mask (N,) is True; landmarks left without any are dropped.
@@ -240,12 +240,13 @@ class Drive:
 def _mask(mask, size, what):
     mask = np.asarray(mask)
     if mask.dtype != bool or mask.shape != (size,):
-        raise ValueError(f"mask: {mask.dtype} of shape {mask.shape}, expected bool ({size},), one for each of the {what}")
+        raise ValueError(f"mask: {mask.dtype} of shape {mask.shape}, expected bool ({size},), "
+                         f"one for each of the {what}")
     return mask
 
 
 def _sparse(features):
-    """Frame (N,), landmark (N,) and pixels (N, 4) of all observations, sorted by frame and then by landmark."""
+    """Frame (N,), landmark (N,) and pixels (N, 4) of all observations, by frame, then by landmark."""
     _, n_landmarks, n_frames = features.shape
     step = max(1, _CHUNK // max(1, n_frames))
     found = [(np.empty(0, int), np.empty(0, int), np.empty((0, 4)))]
@@ -256,14 +257,14 @@ def _sparse(features):
         partial = seen & (absent | unset).any(axis=0)
         if partial.any():
             i, k = np.argwhere(partial)[0]
-            raise DriveError(f"features: landmark {start + i}, frame {k} is {part[:, i, k].tolist()}: only some of the "
-                             f"four numbers are missing; all four must be -1 where a landmark is not seen")
+            raise DriveError(f"features: landmark {start + i}, frame {k} is {part[:, i, k].tolist()}: "
+                             f"only some of the four numbers are missing; all four must be -1 where nothing is seen")
         i, k = np.nonzero(seen)
         pixels = part[:, i, k].T.astype(float)
         if not np.isfinite(pixels).all():
             row = np.argwhere(~np.isfinite(pixels))[0, 0]
-            raise DriveError(f"features: landmark {start + i[row]}, frame {k[row]} is {pixels[row].tolist()}: "
-                             f"not finite")
+            raise DriveError(f"features: landmark {start + i[row]}, frame {k[row]} is "
+                             f"{pixels[row].tolist()}, expected finite numbers")
         found.append((k, start + i, pixels))
     frame, landmark, pixels = (np.concatenate(parts) for parts in zip(*found))
     order = np.argsort(frame, kind="stable")  # stable: landmarks stay ascending within a frame
@@ -292,7 +293,8 @@ def _check_imu(drive):
     stuck = np.flatnonzero(np.diff(times) <= 0)
     if stuck.size:
         k = stuck[0]
-        raise DriveError(f"times: do not increase, frame {k} is at {times[k]} s and frame {k + 1} at {times[k + 1]} s")
+        raise DriveError(f"times: do not increase, frame {k} is at {times[k]} s "
+                         f"and frame {k + 1} at {times[k + 1]} s")
     _check_shape("twists", drive.twists, (times.size, 6))
     _check_finite("twists", drive.twists)
     if drive.imu_sample not in ("k", "k+1", "mean"):
@@ -312,17 +314,18 @@ def _check_observations(drive):
         raise DriveError(f"frame_start: must rise from 0 to the {landmark.size} observations, never falling")
     outside = np.flatnonzero((landmark < 0) | (landmark >= drive.n_landmarks))
     if outside.size:
-        raise DriveError(f"landmark: {landmark[outside[0]]} at index {outside[0]}, expected 0 to {drive.n_landmarks - 1}")
+        raise DriveError(f"landmark: {landmark[outside[0]]} at index {outside[0]}, "
+                         f"expected 0 to {drive.n_landmarks - 1}")
     disorder = np.flatnonzero((np.diff(landmark) <= 0) & (np.diff(drive.frame) == 0))
     if disorder.size:
-        raise DriveError(f"landmark: not ascending within frame {drive.frame[disorder[0]]} (index {disorder[0]})")
+        raise DriveError(f"landmark: not ascending in frame {drive.frame[disorder[0]]}, index {disorder[0]}")
     length = drive.last_seen - drive.first_seen + 1
     torn = np.flatnonzero((drive.first_seen >= 0) & (np.bincount(landmark, minlength=length.size) != length))
     if torn.size:
         seen = drive.frame[landmark == torn[0]]
         gap = np.flatnonzero(np.diff(seen) > 1)[0]
-        raise DriveError(f"features: landmark {torn[0]} is seen in frame {seen[gap]}, then not, and again in frame "
-                         f"{seen[gap + 1]}; a track that comes back must be a new landmark")
+        raise DriveError(f"features: landmark {torn[0]} is seen in frame {seen[gap]}, then not, and again in "
+                         f"frame {seen[gap + 1]}; a track that comes back must be a new landmark")
 
 
 def _check_truth(drive):
@@ -333,15 +336,15 @@ def _check_truth(drive):
         broken = np.flatnonzero(~known & ~np.isnan(poses).all(axis=(1, 2)))
         if broken.size:
             raise DriveError(f"truth_world_T_cam: frame {broken[0]} is neither a pose nor all NaN")
-        R = poses[:, :3, :3]
+        R = poses[known, :3, :3]
         rigid = (np.abs(R @ R.mT - np.eye(3)).max(axis=(1, 2)) < 1e-6) & (np.linalg.det(R) > 0)
-        rigid &= (poses[:, 3] == [0, 0, 0, 1]).all(axis=1)
-        broken = np.flatnonzero(known & ~rigid)
-        if broken.size:
-            raise DriveError(f"truth_world_T_cam: frame {broken[0]} is not a rigid motion")
+        rigid &= (poses[known, 3] == [0, 0, 0, 1]).all(axis=1)
+        if not rigid.all():
+            raise DriveError(f"truth_world_T_cam: frame {np.flatnonzero(known)[~rigid][0]} is not a rigid motion")
     if landmarks is not None:
         if poses is None:
-            raise DriveError("truth_landmarks: given without truth_world_T_cam, so their world frame is unknown")
+            raise DriveError("truth_landmarks: given without truth_world_T_cam, so their world is unknown")
         _check_shape("truth_landmarks", landmarks, (drive.n_landmarks, 3))
         if np.isinf(landmarks).any():
-            raise DriveError(f"truth_landmarks: infinite at landmark {np.argwhere(np.isinf(landmarks))[0, 0]}")
+            bad = np.argwhere(np.isinf(landmarks))[0, 0]
+            raise DriveError(f"truth_landmarks: landmark {bad} is at infinity")

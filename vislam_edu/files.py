@@ -1,7 +1,7 @@
 """Files as named arrays, read without running anything that they contain.
 
-Arrays are read with `allow_pickle=False`. The one published layout that is a pickle is read by an unpickler that knows numpy
-arrays and plain containers and nothing else.
+Arrays are read with `allow_pickle=False`. The one published layout that is a pickle is read by an unpickler
+that knows numpy arrays and plain containers and nothing else.
 """
 
 from __future__ import annotations
@@ -16,7 +16,18 @@ from pathlib import Path
 import numpy as np
 from numpy._core.multiarray import _reconstruct, scalar
 
-from vislam_edu.drive import DriveError
+from .drive import DriveError
+
+_READ_HEADER = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
+# numpy moved its core from numpy.core to numpy._core in version 2; files of both exist
+_ADMITTED = {
+    ("numpy", "ndarray"): np.ndarray,
+    ("numpy", "dtype"): np.dtype,
+    ("numpy.core.multiarray", "_reconstruct"): _reconstruct,
+    ("numpy._core.multiarray", "_reconstruct"): _reconstruct,
+    ("numpy.core.multiarray", "scalar"): scalar,
+    ("numpy._core.multiarray", "scalar"): scalar,
+}
 
 
 class Fields:
@@ -33,7 +44,8 @@ class Fields:
         for name in names:
             if name in self._mapping:
                 return name
-        raise DriveError(f"{' or '.join(names)}: missing; the file has {', '.join(map(str, self._mapping)) or 'nothing'}")
+        present = ", ".join(map(str, self._mapping)) or "nothing"
+        raise DriveError(f"{' or '.join(names)}: missing; the file has {present}")
 
     def text(self, name):
         return np.asarray(self._read(self.key(name))).tolist()
@@ -88,14 +100,13 @@ def open_fields(path):
 
 
 def _pickled_dictionary(file):
-    version = np.lib.format.read_magic(file)
     try:
-        read_header = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}[version]
-        shape, _, dtype = read_header(file)
+        version = np.lib.format.read_magic(file)
+        shape, _, dtype = _READ_HEADER[version](file)
     except (KeyError, ValueError):
         raise DriveError("its npy header cannot be read") from None
     if not dtype.hasobject:
-        raise DriveError(f"an array of {dtype}, shape {shape}; expected an npz, or a npy with a pickled dictionary")
+        raise DriveError(f"holds an array of {dtype}, shape {shape}; expected a pickled dictionary of arrays")
     try:
         value = _ArrayUnpickler(file).load()
     except DriveError:
@@ -111,16 +122,12 @@ def _pickled_dictionary(file):
 class _ArrayUnpickler(pickle.Unpickler):
     """Unpickles numpy arrays and plain containers; any other name is refused before it is even imported."""
 
-    _admitted = {("numpy", "ndarray"): np.ndarray, ("numpy", "dtype"): np.dtype}
-    for _module in ("numpy.core.multiarray", "numpy._core.multiarray"):
-        _admitted |= {(_module, "_reconstruct"): _reconstruct, (_module, "scalar"): scalar}
-
     def find_class(self, module, name):
         try:
-            return self._admitted[module, name]
+            return _ADMITTED[module, name]
         except KeyError:
-            raise DriveError(f"its pickle asks for {module}.{name}, which could run code; only numpy arrays in plain "
-                             f"containers are read, and nothing of it was run") from None
+            raise DriveError(f"its pickle asks for {module}.{name}, which could run code; nothing of it was "
+                             f"run, only numpy arrays in plain containers are read") from None
 
 
 @contextmanager

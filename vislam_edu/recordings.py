@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from vislam_edu import files, se3
-from vislam_edu.drive import Drive, DriveError
-from vislam_edu.stereo import StereoCamera
+from . import files, se3
+from .drive import Drive, DriveError
+from .stereo import StereoCamera
 
 _FORMAT = "vislam_edu drive 1"
 _PROJECT = Path(__file__).resolve().parent.parent
@@ -19,12 +19,14 @@ def load(path) -> Drive:
     """Read a recording.
 
     Layouts, told apart by their keys:
-    `time_stamps, features, linear_velocity, angular_velocity, K, b, imu_T_cam` (npz; 03.npz, 10.npz), the same with
-    `rotational_velocity` and `cam_T_imu` (0027.npz, 0022.npz), a dictionary pickled into a .npy with `timestamps,
-    features, v_t, w_t, K_l, K_r, extL_T_imu, extR_T_imu` (dataset00.npy), and what `save` writes.
+    - npz with `time_stamps, features, linear_velocity, angular_velocity, K, b, imu_T_cam` (03.npz, 10.npz),
+    - the same with `rotational_velocity` and `cam_T_imu` (0022.npz, 0027.npz),
+    - npy that is a pickled dictionary with `timestamps, features, v_t, w_t, K_l, K_r, extL_T_imu, extR_T_imu`
+      (dataset00.npy),
+    - what `save` writes.
 
-    Extrinsics are taken as their key says: a_T_b maps b coordinates to a coordinates. Whether that holds for the
-    numbers is for `audit` to find out. Rotations with only a few digits are projected to SO(3).
+    Extrinsics are taken as their key says: a_T_b maps b coordinates to a coordinates. Whether the numbers
+    agree is for `audit` to find out. Rotations with only a few digits are projected to SO(3).
     Raises DriveError (a ValueError) naming the file, the field and what is wrong with it.
     """
     path = Path(path)
@@ -38,7 +40,7 @@ def load(path) -> Drive:
 
 
 def save(drive, path):
-    """Write a drive, truth and history included, as a plain compressed npz that `load` reads back bit for bit.
+    """Write a drive, truth and history included, as a plain npz that `load` reads back bit for bit.
 
     The file appears complete or not at all.
     """
@@ -54,7 +56,7 @@ def save(drive, path):
 def find(name) -> Path | None:
     """The file of that name (with or without .npz or .npy), or None.
 
-    Looked for in the project's data/, the working directory, and ../shared/data beside the project, in this order.
+    Looked for in the project's data/, in the working directory and in ../shared/data, in this order.
     """
     for folder in (_PROJECT / "data", Path.cwd(), _PROJECT.parent / "shared" / "data"):
         for suffix in ("", ".npz", ".npy"):
@@ -67,10 +69,11 @@ def find(name) -> Path | None:
 def load_ground_truth(path, drive) -> Drive:
     """The drive with the true poses of its left camera, `world_T_cam`, from a text file.
 
-    KITTI: 12 numbers a row, the upper 3 x 4 of the pose; row k belongs to frame k, the last frames may have none.
-    TUM: `time x y z qx qy qz qw` a row; a frame takes the row nearest in time, if within half a frame. Times are absolute,
-    or since the drive's start when the rows do not overlap the drive otherwise. Lines that start with # are skipped.
-    Frames without a row get NaN. Slice a drive after this, not before: KITTI rows are counted from its first frame.
+    KITTI: 12 numbers a row, the upper 3 x 4 of the pose. Row k belongs to frame k, so slice a drive after
+    this, not before; there may be fewer rows than frames.
+    TUM: `time x y z qx qy qz qw` a row. A frame takes the row nearest in time if it is within half a frame.
+    Times are absolute, or count from the drive's start when absolute ones would not overlap the drive.
+    Lines that start with # are skipped. Frames without a row get NaN.
     Raises DriveError naming the file and the line or row.
     """
     path = Path(path)
@@ -99,8 +102,6 @@ def save_tum(path, times, poses):
     _write_rows(path, np.column_stack([times, poses[:, :3, 3], quaternions]), first="%.9f")
 
 
-# --- layouts ---------------------------------------------------------------------------------------------------
-
 _OWN_ARRAYS = ("times", "twists", "frame_start", "landmark", "pixels", "n_landmarks")
 _OWN_SCALARS = ("name", "source", "imu_sample")
 _OWN_TRUTH = ("truth_world_T_cam", "truth_landmarks")
@@ -109,7 +110,7 @@ _OWN_TRUTH = ("truth_world_T_cam", "truth_landmarks")
 def _npz_layout(fields, name):
     times = _times(fields, "time_stamps")
     angular = fields.key("angular_velocity", "rotational_velocity")
-    twists = np.hstack([_samples(fields, "linear_velocity", len(times)), _samples(fields, angular, len(times))])
+    twists = np.hstack([_samples(fields, key, len(times)) for key in ("linear_velocity", angular)])
     extrinsic = fields.key("imu_T_cam", "cam_T_imu")
     cam_T_imu = _rigid(extrinsic, fields.numbers(extrinsic))
     if extrinsic == "imu_T_cam":
@@ -126,15 +127,15 @@ def _pickled_layout(fields, name):
     twists = np.hstack([_samples(fields, key, len(times)) for key in ("v_t", "w_t")])
     K, K_right = fields.numbers("K_l"), fields.numbers("K_r")
     if K.shape != K_right.shape or not np.allclose(K, K_right, rtol=1e-3):
-        raise DriveError("K_r: differs from K_l; a rectified stereo pair, whose cameras share one K, is needed")
+        raise DriveError("K_r: differs from K_l; expected a rectified stereo pair, whose cameras share one K")
     left_T_imu, right_T_imu = (_rigid(key, fields.numbers(key)) for key in ("extL_T_imu", "extR_T_imu"))
     left_T_right = left_T_imu @ se3.inverse(right_T_imu)
-    # The pixels of a rectified pair belong to parallel cameras. The published extrinsics were measured before the
-    # rectification and may differ by a degree; more than a few means that they belong to something else.
+    # Rectified pixels belong to parallel cameras. Extrinsics measured before the rectification may differ
+    # from that by a degree (KITTI-360's do); more than a few mean that they belong to something else.
     baseline, *offset = left_T_right[:3, 3]
     if baseline <= 0 or max(map(abs, offset)) > 0.1 * baseline or np.trace(left_T_right[:3, :3]) < 3 - 0.01:
-        raise DriveError(f"extR_T_imu: the right camera is at {left_T_right[:3, 3].round(3).tolist()} m in the left "
-                         f"camera's frame; expected parallel cameras, the right one on the +x axis")
+        raise DriveError(f"extR_T_imu: puts the right camera at {left_T_right[:3, 3].round(3).tolist()} m in "
+                         f"the left one's frame; expected parallel cameras, the right one on the +x axis")
     return _dense_drive(times, twists, fields, _camera(K, baseline, left_T_imu), name)
 
 
@@ -142,7 +143,8 @@ def _own_drive(fields):
     if fields.text("format") != _FORMAT:
         raise DriveError(f"format: {fields.text('format')!r}, expected {_FORMAT!r}")
     camera = _camera(fields.numbers("K"), fields.numbers("baseline").item(), fields.numbers("cam_T_imu"))
-    values = {key: fields.numbers(key) for key in (*_OWN_ARRAYS, *(key for key in _OWN_TRUTH if key in fields))}
+    values = {key: fields.numbers(key) for key in _OWN_ARRAYS}
+    values |= {key: fields.numbers(key) for key in _OWN_TRUTH if key in fields}
     values |= {key: fields.text(key) for key in _OWN_SCALARS}
     values["n_landmarks"] = int(values["n_landmarks"])
     return Drive(camera=camera, history=tuple(fields.text("history")), **values)
@@ -186,7 +188,7 @@ def _rigid(name, T):
         near &= (np.abs(R @ R.mT - np.eye(3)).max(axis=(-2, -1)) < 1e-3) & (np.linalg.det(R) > 0)
     if not near.all():
         where = f" row {np.flatnonzero(~near)[0]}" if T.ndim > 2 else ""
-        raise DriveError(f"{name}{where}: not a rigid motion (a rotation, a translation, and [0, 0, 0, 1] below)")
+        raise DriveError(f"{name}{where}: not a rigid motion (rotation, translation, [0, 0, 0, 1] below)")
     return se3.pose(Rotation.from_matrix(R).as_matrix(), T[..., :3, 3])
 
 
@@ -195,9 +197,6 @@ def _camera(K, baseline, cam_T_imu):
         return StereoCamera(K, baseline, cam_T_imu)
     except ValueError as error:
         raise DriveError(str(error)) from None
-
-
-# --- ground truth ----------------------------------------------------------------------------------------------
 
 
 def _read_rows(path):
@@ -218,8 +217,8 @@ def _read_rows(path):
 
 def _kitti_poses(rows, drive):
     if len(rows) > drive.n_frames:
-        raise DriveError(f"{len(rows)} poses for a drive of {drive.n_frames} frames: they belong to another drive, "
-                         f"or the drive was sliced before its ground truth was loaded")
+        raise DriveError(f"{len(rows)} poses for a drive of {drive.n_frames} frames: they belong to another "
+                         f"drive or to this one before it was sliced")
     poses = np.full((drive.n_frames, 4, 4), np.nan)
     last = np.broadcast_to([0.0, 0.0, 0.0, 1.0], (len(rows), 1, 4))
     poses[:len(rows)] = _rigid("pose", np.concatenate([rows.reshape(-1, 3, 4), last], axis=1))
@@ -242,8 +241,8 @@ def _tum_poses(rows, drive):
     half_frame = np.median(drive.taus) / 2 if drive.n_frames > 1 else 0.0
     matched = np.abs(rows[nearest, 0] - times) <= half_frame
     if not matched.any():
-        raise DriveError(f"no row within half a frame ({half_frame:.3f} s) of any frame; rows run from {rows[0, 0]} to "
-                         f"{rows[-1, 0]} s, the drive from {drive.times[0]} to {drive.times[-1]} s")
+        raise DriveError(f"no row within half a frame ({half_frame:.3f} s) of any frame; the rows run from "
+                         f"{rows[0, 0]} to {rows[-1, 0]} s, the drive from {times[0]} to {times[-1]} s")
     found = rows[nearest[matched]]
     poses = np.full((drive.n_frames, 4, 4), np.nan)
     poses[matched] = se3.pose(Rotation.from_quat(found[:, 4:]).as_matrix(), found[:, 1:4])
