@@ -258,7 +258,7 @@ def _sparse(features):
         if partial.any():
             i, k = np.argwhere(partial)[0]
             raise DriveError(f"features: landmark {start + i}, frame {k} is {part[:, i, k].tolist()}: "
-                             f"only some of the four numbers are missing; all four must be -1 where nothing is seen")
+                             f"only some of the four are missing; all must be -1 where nothing is seen")
         i, k = np.nonzero(seen)
         pixels = part[:, i, k].T.astype(float)
         if not np.isfinite(pixels).all():
@@ -340,7 +340,8 @@ def _check_truth(drive):
         rigid = (np.abs(R @ R.mT - np.eye(3)).max(axis=(1, 2)) < 1e-6) & (np.linalg.det(R) > 0)
         rigid &= (poses[known, 3] == [0, 0, 0, 1]).all(axis=1)
         if not rigid.all():
-            raise DriveError(f"truth_world_T_cam: frame {np.flatnonzero(known)[~rigid][0]} is not a rigid motion")
+            bad = np.flatnonzero(known)[~rigid][0]
+            raise DriveError(f"truth_world_T_cam: frame {bad} is not a rigid motion")
     if landmarks is not None:
         if poses is None:
             raise DriveError("truth_landmarks: given without truth_world_T_cam, so their world is unknown")
