@@ -1,0 +1,129 @@
+"""One look for every picture of the series: a method keeps its colour and its line from the first chapter on.
+
+The colours of the trajectories differ in lightness too, so they stay apart in a grey print and for colour-blind
+readers, and every method has a line style of its own.
+"""
+
+import sys
+
+import numpy as np
+from matplotlib import rcParams
+from scipy.stats import chi2
+
+COLOURS = {
+    # who says it: trajectories and maps
+    "truth": "#000000",
+    "dead_reckoning": "#DDAA33",
+    "mapping": "#117733",
+    "localize": "#882255",
+    "report": "#43A2B5",
+    "slam": "#BB5566",
+    "invariant": "#004488",
+    "smoother": "#7A5FB0",
+    # what it is: pixels, innovations, verdicts
+    "measured": "#EE7733",
+    "predicted": "#0055AA",
+    "accepted": "#117733",
+    "rejected": "#CC3311",
+    "prior": "#8C8C8C",
+    "posterior": "#004488",
+    "expected": "#555555",  # a bound or the value an honest filter would show
+    "faded": "#B8B8B8",
+}
+
+LINESTYLES = {
+    "truth": "-",
+    "dead_reckoning": (0, (1, 1)),
+    "mapping": "-.",
+    "localize": (0, (5, 1, 1, 1)),
+    "report": (0, (3, 1, 1, 1, 1, 1)),
+    "slam": "--",
+    "invariant": "-",
+    "smoother": (0, (8, 2)),
+    "measured": "none",
+    "predicted": "none",
+    "prior": "--",
+    "posterior": "-",
+    "expected": "--",
+}
+
+MARKERS = {"truth": "+", "measured": "o", "predicted": "x", "dead_reckoning": "s", "mapping": "^", "slam": "o",
+           "invariant": "o"}
+
+LABELS = {
+    "truth": "ground truth",
+    "dead_reckoning": "dead reckoning",
+    "mapping": "mapping EKF",
+    "localize": "odometry on a known map",
+    "report": "SLAM, the report's values",
+    "slam": "SLAM, right perturbation",
+    "invariant": "SLAM, right-invariant",
+    "smoother": "smoother",
+}
+
+_RC = {
+    "figure.dpi": 100,
+    "savefig.dpi": 100,
+    "figure.figsize": (7.5, 4.5),
+    "figure.constrained_layout.use": True,
+    "font.size": 10,
+    "axes.titlesize": 11,
+    "axes.titlelocation": "left",
+    "axes.labelsize": 10,
+    "xtick.labelsize": 9,
+    "ytick.labelsize": 9,
+    "legend.fontsize": 9,
+    "legend.framealpha": 0.9,
+    "legend.edgecolor": "0.8",
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "grid.color": "0.9",
+    "grid.linewidth": 0.8,
+    "lines.linewidth": 1.6,
+    "lines.markersize": 4,
+    "image.cmap": "cividis",
+}
+
+PNG = {"metadata": {"Software": None}}  # for savefig: without it, files differ between versions of matplotlib
+
+
+def use():
+    """Apply the style to matplotlib, and in a notebook also to the pictures that it stores."""
+    rcParams.update(_RC)
+    shell = _ipython()
+    if shell is not None:
+        from matplotlib_inline.config import InlineBackend
+
+        InlineBackend.instance(parent=shell).print_figure_kwargs = {**PNG, "bbox_inches": "tight"}
+
+
+def _ipython():
+    """The running IPython shell, or None; IPython itself is not needed and not imported."""
+    module = sys.modules.get("IPython")
+    return module.get_ipython() if module else None
+
+
+def line(method):
+    """Keyword arguments of `Axes.plot` for a method: colour, line style and label."""
+    return {"color": COLOURS[method], "linestyle": LINESTYLES[method], "label": LABELS.get(method, method)}
+
+
+def ellipse_points(mean, covariance, probability=0.95, n=60):
+    """Outline of the ellipse that holds a 2-D Gaussian with this probability.
+
+    mean : (..., 2). covariance : (..., 2, 2), same units squared, positive semi-definite.
+    Returns (..., n, 2), a closed outline: the first point again at the end.
+    The squared distance of a Gaussian in two dimensions is chi-square with 2 degrees of freedom; "two sigma" in the
+    plane would hold 86 %, not 95 %.
+    Raises ValueError for a probability outside (0, 1).
+    """
+    if not 0 < probability < 1:
+        raise ValueError(f"probability must lie in (0, 1), got {probability!r}")
+    values, axes = np.linalg.eigh(np.asarray(covariance, dtype=float))
+    radii = np.sqrt(chi2.ppf(probability, 2) * np.maximum(values, 0.0))
+    angle = np.linspace(0, 2 * np.pi, n)
+    circle = np.stack([np.cos(angle), np.sin(angle)])
+    outline = (axes * radii[..., None, :]) @ circle
+    return np.asarray(mean, dtype=float)[..., None, :] + np.swapaxes(outline, -1, -2)
