@@ -1,0 +1,111 @@
+"""The Gaussian algebra of a Kalman filter. Nothing here knows what a camera or a pose is.
+
+Everything broadcasts over leading axes: one call updates one state, or thousands of independent ones.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.stats import chi2
+
+
+def innovation_covariance(covariance, H, R):
+    """S = H P H^T + R: how far a measurement may fall from its prediction.
+
+    covariance : (..., n, n). H : (..., m, n). R : (..., m, m). Returns (..., m, m).
+    Source: report section 3.2.2.
+    """
+    return H @ covariance @ np.swapaxes(H, -1, -2) + R
+
+
+def nis(residual, S):
+    """Normalised innovation squared, r^T S^-1 r: chi-square with m degrees of freedom if the filter is honest.
+
+    residual : (..., m). S : (..., m, m). Returns (...).
+    Source: Bar-Shalom, Li, Kirubarajan, Estimation with Applications to Tracking and Navigation, section 5.4.
+    """
+    whitened = np.linalg.solve(np.linalg.cholesky(S), residual[..., None])[..., 0]
+    return np.sum(whitened**2, axis=-1)
+
+
+def gate_threshold(probability, dof=4) -> float:
+    """The NIS that a correct measurement stays below with this probability; infinite for 1 (no gate).
+
+    Raises ValueError when the probability is not in (0, 1].
+    """
+    if not 0 < probability <= 1:
+        raise ValueError(f"a gate is a probability in (0, 1], got {probability!r}; 1 switches it off")
+    return float(chi2.ppf(probability, dof))
+
+
+def gain(covariance, H, S):
+    """Kalman gain K = P H^T S^-1, by Cholesky: S is never inverted.
+
+    covariance : (..., n, n). H : (..., m, n). S : (..., m, m). Returns (..., n, m).
+    Source: report section 3.2.2.
+    """
+    L = np.linalg.cholesky(S)
+    whitened = np.linalg.solve(L, H @ covariance)
+    return np.swapaxes(np.linalg.solve(np.swapaxes(L, -1, -2), whitened), -1, -2)
+
+
+def update(covariance, H, R, residual):
+    """One Kalman update; returns the correction of the mean and the new covariance.
+
+    covariance : (..., n, n). H : (..., m, n). R : (..., m, m). residual : (..., m), measured minus predicted.
+    Returns delta (..., n) and covariance (..., n, n). The correction is returned, not added: what "adding" means
+    is the state's own business (on SE(3) it is not +).
+
+    The report's (I - K H) P is right on paper and loses symmetry and positivity in rounding; the Joseph form
+    (I - K H) P (I - K H)^T + K R K^T is the same matrix and keeps both.
+    Source: report section 3.2.2; Bar-Shalom et al., section 5.2.
+    """
+    K = gain(covariance, H, innovation_covariance(covariance, H, R))
+    A = np.eye(covariance.shape[-1]) - K @ H
+    new = A @ covariance @ np.swapaxes(A, -1, -2) + K @ R @ np.swapaxes(K, -1, -2)
+    return (K @ residual[..., None])[..., 0], (new + np.swapaxes(new, -1, -2)) / 2
+
+
+@dataclass(frozen=True, eq=False)
+class Innovation:
+    """What the cameras said in one frame against what the filter expected, for the landmarks it knew.
+
+    ids : (n,) landmark ids. measured, predicted : (n, 4) px, [u_left, v_left, u_right, v_right].
+    covariance : (n, 4, 4) px^2, S of each measurement. nis : (n,), 4 degrees of freedom.
+    accepted : (n,) bool, False where the gate (or a point behind the camera) kept a measurement out.
+    """
+
+    ids: np.ndarray
+    measured: np.ndarray
+    predicted: np.ndarray
+    covariance: np.ndarray
+    nis: np.ndarray
+    accepted: np.ndarray
+
+    @property
+    def residual(self) -> np.ndarray:
+        """(n, 4) px, measured minus predicted."""
+        return self.measured - self.predicted
+
+
+NO_INNOVATION = Innovation(
+    np.empty(0, int), np.empty((0, 4)), np.empty((0, 4)), np.empty((0, 4, 4)), np.empty(0), np.empty(0, bool)
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Step:
+    """One frame of a filter: what it believed before and after looking, and what it saw.
+
+    k : frame. time : s. prior : the belief predicted to this frame. posterior : the belief after the update.
+    innovation : see `Innovation`. born, retired : ids of landmarks that came into and left the state here.
+    """
+
+    k: int
+    time: float
+    prior: Any
+    posterior: Any
+    innovation: Innovation
+    born: np.ndarray
+    retired: np.ndarray

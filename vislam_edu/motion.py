@@ -1,0 +1,123 @@
+"""The joint belief over map and pose, and how it moves from one frame to the next."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from . import se3
+
+
+@dataclass(frozen=True, eq=False)
+class Belief:
+    """A Gaussian over the landmarks in the window and the pose, in the coordinates of one error state.
+
+    world_T_imu : (4, 4). landmarks : (n, 3), m, world. ids : (n,), which landmarks of the drive they are.
+    covariance : (3n+6+t, 3n+6+t), order [landmarks, position, rotation, motion].
+    motion : (t,), what a motion model estimates beyond the pose (twist, bias); empty for the plain filter.
+    """
+
+    world_T_imu: np.ndarray
+    landmarks: np.ndarray
+    ids: np.ndarray
+    covariance: np.ndarray
+    motion: np.ndarray = field(default_factory=lambda: np.empty(0))
+
+    def __post_init__(self):
+        for array in (self.world_T_imu, self.landmarks, self.ids, self.covariance, self.motion):
+            array.flags.writeable = False
+
+    @property
+    def pose(self) -> slice:
+        """Where the pose error stands in the state."""
+        n = 3 * len(self.landmarks)
+        return slice(n, n + 6)
+
+    @property
+    def pose_covariance(self) -> np.ndarray:
+        """(6, 6), order [position, rotation]."""
+        return self.covariance[self.pose, self.pose]
+
+    @property
+    def landmark_covariance(self) -> np.ndarray:
+        """(n, 3, 3), the landmarks' own blocks."""
+        n = len(self.landmarks)
+        i = np.arange(n)
+        return self.covariance[:3 * n, :3 * n].reshape(n, 3, n, 3)[i, :, i, :]
+
+
+def start(noise, world_T_imu=None) -> Belief:
+    """The joint belief at frame 0: no landmark, and the world frame is the IMU frame unless a pose is given."""
+    T = np.eye(4) if world_T_imu is None else np.array(world_T_imu, dtype=float)
+    return Belief(T, np.empty((0, 3)), np.empty(0, dtype=int), np.array(noise.initial_pose_covariance))
+
+
+@dataclass(frozen=True, eq=False)
+class Transition:
+    """One prediction, linearised: error' = F error + N noise, landmarks first, then the tail [pose, motion].
+
+    Landmarks stand still, so of F only the columns of the tail differ from the identity.
+
+    world_T_imu : (4, 4) pose afterwards. motion : (t,) afterwards.
+    F_tail : (6+t, 6+t). F_landmarks : (n, 3, 6+t), or None for zero.
+    N_tail : (6+t, q). N_landmarks : (n, 3, q), or None for zero. Q : (q, q), covariance of the noise.
+    """
+
+    world_T_imu: np.ndarray
+    motion: np.ndarray
+    F_tail: np.ndarray
+    F_landmarks: np.ndarray | None
+    N_tail: np.ndarray
+    N_landmarks: np.ndarray | None
+    Q: np.ndarray
+
+
+def carry(belief, transition) -> Belief:
+    """The belief after a transition: P' = F P F^T + N Q N^T.
+
+    For the report's error this is Sigma_LL, Sigma_LR F^T and F Sigma_RR F^T + W: the landmarks' own block stays,
+    the cross-covariance is carried along on one side, the pose block on both.
+    Source: report section 3.3.2, step 2, in its corrected form.
+    """
+    n = 3 * len(belief.landmarks)
+    P = belief.covariance.copy()
+    tail = P[n:].copy()
+    if transition.F_landmarks is not None:
+        G = transition.F_landmarks.reshape(n, -1)
+        P[:n] += G @ tail
+        P[:n, :n] += P[:n, n:] @ G.T
+    P[:n, n:] = P[:n, n:] @ transition.F_tail.T
+    P[n:, :n] = P[:n, n:].T
+    P[n:, n:] = transition.F_tail @ tail[:, n:] @ transition.F_tail.T
+    if transition.N_landmarks is None:
+        P[n:, n:] += transition.N_tail @ transition.Q @ transition.N_tail.T
+    else:
+        N = np.concatenate([transition.N_landmarks.reshape(n, -1), transition.N_tail])
+        NL = N @ np.linalg.cholesky(transition.Q)
+        P += NL @ NL.T
+    return Belief(transition.world_T_imu, belief.landmarks, belief.ids, P, transition.motion)
+
+
+class ImuDriven:
+    """The report's motion model: the IMU is the input, its white noise the only thing that moves the error.
+
+    drive : Drive. noise : Noise. error_state : see `error_state.py`.
+    Source: report section 3.3.1.
+    """
+
+    def __init__(self, drive, noise, error_state):
+        taus = drive.taus[:, None]
+        self.error_state = error_state
+        self.increments = se3.exp(taus * drive.step_twists)
+        self.body_noise = taus[..., None] * se3.right_jacobian(taus * drive.step_twists)
+        self.Q = noise.twist_covariance
+
+    def transition(self, belief, k) -> Transition:
+        """From frame k to frame k + 1."""
+        after = belief.world_T_imu @ self.increments[k]
+        F, B = self.error_state.pose_transition(after, self.increments[k], self.body_noise[k])
+        return Transition(after, belief.motion, F, None, B,
+                          self.error_state.landmark_transition(belief.landmarks, B), self.Q)
+
+    def predict(self, belief, k) -> Belief:
+        """The belief at frame k + 1 before the cameras have spoken."""
+        return carry(belief, self.transition(belief, k))

@@ -1,0 +1,71 @@
+"""How uncertain the sensors and the start are: everything the report calls W, V and Sigma_0."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+
+def _initial_pose_covariance() -> np.ndarray:
+    return np.diag([1e-3, 1e-3, 1e-3, 1e-4, 1e-4, 1e-4])
+
+
+@dataclass(frozen=True, eq=False)
+class Noise:
+    """Standard deviations of the sensors, and the covariance of the pose at the start.
+
+    sigma_v : m/s, white noise on each axis of one linear-velocity sample.
+    sigma_omega : rad/s, the same for the gyro.
+    sigma_px : px, white noise on each of the four numbers of a stereo measurement.
+    initial_pose_covariance : (6, 6), order [position m, rotation rad] in the body frame; the default is the
+        report's Sigma_RR.
+    landmark_prior : m^2, the variance per axis that the report gives a new landmark (Sigma_LL = 2 I).
+        Only the `as_report` initialisations use it.
+
+    Raises ValueError for a negative or non-finite number and for a covariance that is not symmetric positive
+    semi-definite.
+    """
+
+    sigma_v: float = 0.5
+    sigma_omega: float = 0.05
+    sigma_px: float = 0.7
+    initial_pose_covariance: np.ndarray = field(default_factory=_initial_pose_covariance)
+    landmark_prior: float = 2.0
+
+    def __post_init__(self):
+        for name in ("sigma_v", "sigma_omega", "sigma_px", "landmark_prior"):
+            value = getattr(self, name)
+            if not np.isfinite(value) or value < 0:
+                raise ValueError(f"Noise.{name} must be a finite number >= 0, got {value!r}")
+        if self.sigma_px == 0:
+            raise ValueError("Noise.sigma_px must be > 0: a filter cannot weigh perfect pixels")
+        P = np.array(self.initial_pose_covariance, dtype=float)
+        if P.shape != (6, 6):
+            raise ValueError(f"Noise.initial_pose_covariance must have shape (6, 6), got {P.shape}")
+        if not np.isfinite(P).all() or not np.allclose(P, P.T) or np.linalg.eigvalsh(P).min() < -1e-12:
+            raise ValueError("Noise.initial_pose_covariance must be symmetric positive semi-definite")
+        P.flags.writeable = False
+        object.__setattr__(self, "initial_pose_covariance", P)
+
+    @classmethod
+    def from_report(cls, tau=0.1) -> "Noise":
+        """The values of the report's section 3.3.3, its W read as diag(1e-4 x3, 1e-7 x3).
+
+        The report's W is per step and does not scale with the time step; here it is turned into noise per
+        sample at the nominal time step `tau` (s), so that W comes out as printed for a step of that length.
+        The printed last entry, 10^7, can only be a slip for 10^-7.
+        """
+        return cls(sigma_v=1e-4**0.5 / tau, sigma_omega=1e-7**0.5 / tau, sigma_px=15**0.5)
+
+    @property
+    def twist_covariance(self) -> np.ndarray:
+        """(6, 6), (m/s)^2 and (rad/s)^2: covariance of one IMU sample."""
+        return np.diag([self.sigma_v**2] * 3 + [self.sigma_omega**2] * 3)
+
+    def process_covariance(self, tau) -> np.ndarray:
+        """W (6, 6) of one step of `tau` seconds: white noise per sample moves the pose by tau times itself."""
+        return tau**2 * self.twist_covariance
+
+    @property
+    def pixel_covariance(self) -> np.ndarray:
+        """V (4, 4), px^2, of one stereo measurement [u_left, v_left, u_right, v_right]."""
+        return self.sigma_px**2 * np.eye(4)

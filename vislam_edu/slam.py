@@ -1,0 +1,232 @@
+"""Full visual-inertial SLAM: one Gaussian over the pose and every landmark in view.
+
+    for step in slam.run(drive, noise):
+        step.prior, step.innovation, step.posterior
+
+One frame: predict, drop the landmarks that are out of sight, update with those that are known, add the new ones.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import cholesky, solve_triangular
+
+from . import kalman, motion
+from .error_state import RightPerturbation
+from .motion import Belief
+
+# v_left and v_right of a rectified pair measure the same thing. Their mean carries all they say about the state and
+# has half the variance; their difference is pure noise, of no use but to the gate. So four rows become three.
+ROWS = [0, 1, 2]  # of J: u_left, v, u_right
+ROW_VARIANCE = np.array([1.0, 0.5, 1.0])
+FOUR_FROM_THREE = [0, 1, 2, 1]
+
+
+@dataclass(frozen=True, eq=False)
+class Sensors:
+    """What an update needs to know besides the belief.
+
+    camera : StereoCamera. noise : Noise. error_state : see `error_state.py`.
+    threshold : largest NIS (4 degrees of freedom) of a measurement that is believed.
+    min_disparity : px, below it a new landmark waits for a better view.
+    """
+
+    camera: object
+    noise: object
+    error_state: object
+    threshold: float
+    min_disparity: float
+
+
+def _reduce(pixels):
+    """(n, 4) stereo measurements to the (n, 3) numbers that carry information."""
+    return np.stack([pixels[:, 0], (pixels[:, 1] + pixels[:, 3]) / 2, pixels[:, 2]], axis=-1)
+
+
+def linearise(belief, rows, sensors):
+    """Prediction and Jacobians of the landmarks at `rows` of the window.
+
+    Returns predicted (n, 4) px, in_front (n,), H_landmark (n, 3, 3) and H_pose (n, 3, 6), rows [u_left, v, u_right].
+    """
+    landmarks = belief.landmarks[rows]
+    points = sensors.camera.to_cam(belief.world_T_imu, landmarks)
+    predicted, in_front = sensors.camera.project(points)
+    J = sensors.camera.measurement_jacobian(points)[:, ROWS]
+    return predicted, in_front, *sensors.error_state.jacobians(belief.world_T_imu, landmarks, J)
+
+
+def times_H(A, rows, H_landmark, H_pose, n):
+    """H A for A (d, c), without writing H: a measurement touches one landmark and the pose, nothing else.
+
+    n : landmarks in the state. Returns (3 len(rows), c).
+    """
+    blocks = A[:3 * n].reshape(n, 3, -1)[rows]
+    return (H_landmark @ blocks).reshape(3 * len(rows), -1) + H_pose.reshape(-1, 6) @ A[3 * n:3 * n + 6]
+
+
+def update(prior, ids, pixels, sensors):
+    """EKF update of the whole joint belief with the landmarks `ids` (all in the window), gated one by one.
+
+    ids : (m,). pixels : (m, 4). Returns (posterior, Innovation).
+
+    With S = L L^T and Y = L^-1 H P, the gain is K = Y^T L^-1 and the new covariance P - K S K^T = P - Y^T Y: symmetric
+    by construction, and no inverse is ever formed.
+    Source: report section 3.3.2, steps 3 to 5.
+    """
+    if len(ids) == 0:
+        return prior, kalman.NO_INNOVATION
+    n, m = len(prior.ids), len(ids)
+    rows = np.searchsorted(prior.ids, ids)
+    predicted, in_front, H_l, H_p = linearise(prior, rows, sensors)
+    residual = pixels - predicted
+    variance = sensors.noise.sigma_px**2
+
+    HP = times_H(prior.covariance, rows, H_l, H_p, n)
+    S = times_H(HP.T, rows, H_l, H_p, n)
+    each = np.arange(m)
+    explained = S.reshape(m, 3, m, 3)[each, :, each, :]
+    S[np.diag_indices(3 * m)] += np.tile(variance * ROW_VARIANCE, m)
+
+    S_each = explained[:, FOUR_FROM_THREE][:, :, FOUR_FROM_THREE] + sensors.noise.pixel_covariance
+    nis = kalman.nis(residual, S_each)
+    accepted = in_front & (nis <= sensors.threshold)
+    innovation = kalman.Innovation(ids, pixels, predicted, S_each, nis, accepted)
+    if not accepted.any():
+        return prior, innovation
+    if not accepted.all():
+        keep = np.repeat(accepted, 3)
+        HP, S = HP[keep], S[np.ix_(keep, keep)]
+
+    L = cholesky(S, lower=True, overwrite_a=True, check_finite=False)
+    right = np.column_stack([HP, _reduce(residual)[accepted].ravel()])
+    Y = solve_triangular(L, right, lower=True, overwrite_b=True, check_finite=False)
+    Y, y = Y[:, :-1], Y[:, -1]
+    return retract(prior, Y.T @ y, prior.covariance - Y.T @ Y, sensors.error_state), innovation
+
+
+def retract(belief, delta, covariance, error_state) -> Belief:
+    """The belief moved by an estimated error delta (3n+6+t,), with its new covariance."""
+    end = belief.pose.stop
+    T, landmarks = error_state.retract(belief.world_T_imu, belief.landmarks, delta[:end])
+    return Belief(T, landmarks, belief.ids, covariance, belief.motion + delta[end:])
+
+
+def select(belief, keep) -> Belief:
+    """The belief over fewer landmarks. keep : (n,) bool.
+
+    Dropping variables from a Gaussian is dropping their rows and columns: exact for everything that stays.
+    """
+    if keep.all():
+        return belief
+    rest = np.ones(len(belief.covariance) - 3 * len(keep), dtype=bool)
+    index = np.flatnonzero(np.concatenate([np.repeat(keep, 3), rest]))
+    return Belief(belief.world_T_imu, belief.landmarks[keep], belief.ids[keep],
+                  belief.covariance[np.ix_(index, index)], belief.motion)
+
+
+def _insert(belief, ids, landmarks, cross, own) -> Belief:
+    """New landmarks at their places in the order of ids. cross : (3m, d), own : (3m, 3m) covariance."""
+    n, m, d = len(belief.ids), len(ids), len(belief.covariance)
+    P = np.empty((d + 3 * m, d + 3 * m))
+    P[:d, :d], P[d:, :d], P[:d, d:], P[d:, d:] = belief.covariance, cross, cross.T, own
+    all_ids = np.concatenate([belief.ids, ids])
+    order = np.argsort(all_ids)
+    first = np.where(order < n, 3 * order, d + 3 * (order - n))  # where each landmark's rows stand in P
+    index = np.concatenate([(first[:, None] + np.arange(3)).ravel(), np.arange(3 * n, d)])
+    return Belief(belief.world_T_imu, np.concatenate([belief.landmarks, landmarks])[order], all_ids[order],
+                  P[np.ix_(index, index)], belief.motion)
+
+
+def add_correlated(belief, ids, pixels, sensors) -> Belief:
+    """New landmarks, each as uncertain as its triangulation and correlated with the pose it was seen from.
+
+    Sigma_mm = G Sigma_TT G^T + A C A^T,  Sigma_m. = G Sigma_T.   (C: triangulation covariance in the IMU frame)
+
+    Source: DESIGN of this package; Solà, Simulataneous localization and mapping with the EKF, section on landmark
+    initialisation for fully observable sensors.
+    """
+    camera = sensors.camera
+    points_cam, ok = camera.triangulate(pixels, sensors.min_disparity)
+    ids, points_cam = ids[ok], points_cam[ok]
+    if len(ids) == 0:
+        return belief
+    imu_R_cam = camera.imu_T_cam[:3, :3]
+    C = imu_R_cam @ camera.triangulation_covariance(points_cam, sensors.noise.sigma_px) @ imu_R_cam.T
+    points = points_cam @ imu_R_cam.T + camera.imu_T_cam[:3, 3]
+    G, A = sensors.error_state.birth(belief.world_T_imu, points)
+    G = G.reshape(-1, 6)
+    own = G @ belief.pose_covariance @ G.T
+    blocks, each = own.reshape(len(ids), 3, len(ids), 3), np.arange(len(ids))
+    blocks[each, :, each, :] += A @ C @ A.T
+    landmarks = points @ belief.world_T_imu[:3, :3].T + belief.world_T_imu[:3, 3]
+    return _insert(belief, ids, landmarks, G @ belief.covariance[belief.pose], own)
+
+
+def add_as_report(belief, ids, pixels, sensors) -> Belief:
+    """New landmarks the report's way: triangulated mean, variance 2 per axis, no correlation with anything.
+
+    That counts the pose as known at the moment a landmark is born.
+    Source: report section 3.3.3.
+    """
+    points, ok = sensors.camera.triangulate(pixels, sensors.min_disparity)
+    ids = ids[ok]
+    landmarks = sensors.camera.to_world(belief.world_T_imu, points[ok])
+    return _insert(belief, ids, landmarks, np.zeros((3 * len(ids), len(belief.covariance))),
+                   sensors.noise.landmark_prior * np.eye(3 * len(ids)))
+
+
+def correlated(prior, ids, pixels, sensors):
+    """The correct frame: known landmarks correct the state, then new ones join it, their first measurement used up.
+
+    Returns (prior, posterior, Innovation): the prior comes back unchanged.
+    """
+    known = np.isin(ids, prior.ids, assume_unique=True)
+    posterior, innovation = update(prior, ids[known], pixels[known], sensors)
+    return prior, add_correlated(posterior, ids[~known], pixels[~known], sensors), innovation
+
+
+def as_report(prior, ids, pixels, sensors):
+    """The report's frame: new landmarks join first and their first measurement is used a second time.
+
+    Returns (prior with the new landmarks in it, posterior, Innovation).
+    """
+    new = ~np.isin(ids, prior.ids, assume_unique=True)
+    prior = add_as_report(prior, ids[new], pixels[new], sensors)
+    known = np.isin(ids, prior.ids, assume_unique=True)
+    return prior, *update(prior, ids[known], pixels[known], sensors)
+
+
+def out_of_sight(belief, ids):
+    """Retire what this frame does not see: tracks never return, so it can never be measured again."""
+    return np.isin(belief.ids, ids, assume_unique=True)
+
+
+def never(belief, ids):
+    """Retire nothing: the report's filter, whose covariance grows with the map."""
+    return np.ones(len(belief.ids), dtype=bool)
+
+
+def run(drive, noise, error_state=None, *, measure=correlated, retire=out_of_sight, gate=0.99, min_disparity=1.0,
+        world_T_imu=None):
+    """The joint filter over a drive: yields one `Step` per frame, its beliefs `Belief`s.
+
+    drive : Drive. noise : Noise. error_state : `RightPerturbation()` (the report's, the default) or another.
+    measure : what a frame does, `correlated` or `as_report`. retire : which landmarks leave the state,
+    `out_of_sight` or `never`. gate : probability that a good measurement passes, 1 for no gate.
+    min_disparity : px, below it a landmark waits. world_T_imu : (4, 4) pose at frame 0, the identity by default.
+    Raises ValueError for a gate outside (0, 1] or a negative disparity.
+    Source: report section 3.3.2.
+    """
+    if not min_disparity >= 0:
+        raise ValueError(f"min_disparity must be >= 0 px, got {min_disparity!r}")
+    error_state = error_state or RightPerturbation()
+    sensors = Sensors(drive.camera, noise, error_state, kalman.gate_threshold(gate), min_disparity)
+    model = motion.ImuDriven(drive, noise, error_state)
+    posterior = None
+    for k in range(drive.n_frames):
+        before = motion.start(noise, world_T_imu) if posterior is None else model.predict(posterior, k - 1)
+        ids, pixels = drive.observed(k)
+        keep = retire(before, ids)
+        prior, posterior, innovation = measure(select(before, keep), ids, pixels, sensors)
+        born = np.setdiff1d(posterior.ids, before.ids, assume_unique=True)
+        yield kalman.Step(k, drive.times[k], prior, posterior, innovation, born, before.ids[~keep])
