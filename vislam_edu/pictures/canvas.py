@@ -1,0 +1,171 @@
+"""What all pictures share: a figure drawn off screen, of which only the parts that move are drawn again."""
+
+import base64
+import io
+from dataclasses import dataclass
+
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from PIL import Image
+
+SIZE = (10.0, 5.0)  # inches; at 100 dots per inch 1000 x 500 px
+DPI = 100
+
+_FAST, _SMALL = 1, 9  # zlib levels: for a picture that lives for one frame, and for one that is stored
+
+
+@dataclass(frozen=True)
+class Number:
+    """A control that holds a number: its label (with unit), where it starts, and its range."""
+
+    label: str
+    value: float
+    low: float
+    high: float
+    step: float
+
+    def __post_init__(self):
+        if not self.low <= self.value <= self.high or self.step <= 0:
+            raise ValueError(f"{self.label}: {self.value} must lie in [{self.low}, {self.high}], step {self.step} > 0")
+
+
+@dataclass(frozen=True)
+class Switch:
+    """A control that is on or off: its label, and how it starts."""
+
+    label: str
+    value: bool = False
+
+
+@dataclass(frozen=True)
+class Still:
+    """One picture that does not move, shown by a notebook with or without a kernel.
+
+    png : the file's bytes. alt : what it shows, in words.
+    """
+
+    png: bytes
+    alt: str
+
+    def __repr__(self):
+        return f"Still({self.alt!r})"
+
+    def _repr_mimebundle_(self, include=None, exclude=None):
+        """The picture with its alternative text."""
+        data = {"text/plain": repr(self), "image/png": base64.b64encode(self.png).decode()}
+        return data, {"image/png": {"alt": self.alt}}
+
+
+class Picture:
+    """A figure whose state is set by `draw(...)`; a chapter's picture derives from it.
+
+    A subclass builds its axes on `self.figure`, gives every artist that changes to `self.moves(...)`, and defines
+    `draw(**state)`, which sets those artists and nothing else, `caption(**state)`, one line of text, and
+    `alt(**state)`, what the picture shows in words.
+
+    controls : dict name -> `Number` or `Switch`: keyword arguments of `draw` that a reader may change.
+    """
+
+    name = "picture"
+    controls: dict = {}
+
+    def __init__(self, size=SIZE):
+        self.figure = Figure(figsize=size, dpi=DPI)
+        self.canvas = FigureCanvasAgg(self.figure)
+        self._moving = []
+        self._background = None
+
+    def moves(self, *artists):
+        """Declare artists that `draw` changes; they are drawn in this order, on top of all that stands still.
+
+        Returns the artist, or the tuple of artists.
+        """
+        self._moving.extend(artists)
+        return artists[0] if len(artists) == 1 else artists
+
+    def draw(self, **state):
+        """Set the artists that move to this state."""
+        raise NotImplementedError
+
+    def caption(self, **state) -> str:
+        """One line that says what is to be seen."""
+        raise NotImplementedError
+
+    def alt(self, **state) -> str:
+        """The picture in words, for a reader who cannot see it."""
+        raise NotImplementedError
+
+    def png(self, **state) -> bytes:
+        """The picture of this state as fast as it can be had: what stands still is drawn once and kept."""
+        self.draw(**state)
+        return _png(self._pixels(), _FAST)
+
+    def still(self, **state) -> Still:
+        """The picture of this state for keeping: the same pixels, packed small, with alternative text."""
+        self.draw(**state)
+        return Still(_png(self._pixels(), _SMALL), self.alt(**state))
+
+    def _pixels(self):
+        """(height, width, 3) uint8."""
+        if self._background is None:
+            self._background = self._draw_background()
+        self.canvas.restore_region(self._background)
+        renderer = self.canvas.get_renderer()
+        for artist in self._moving:
+            artist.draw(renderer)
+        return np.asarray(self.canvas.buffer_rgba())[..., :3]
+
+    def _draw_background(self):
+        """All that stands still. The rest is hidden meanwhile, so that it leaves no ghost."""
+        visible = [artist.get_visible() for artist in self._moving]
+        for artist in self._moving:
+            artist.set_visible(False)
+        self.canvas.draw()
+        for artist, shown in zip(self._moving, visible):
+            artist.set_visible(shown)
+        return self.canvas.copy_from_bbox(self.figure.bbox)
+
+
+class StepPicture(Picture):
+    """A picture of a filter's history, in half-steps.
+
+    Half-step 2k is frame k as predicted, 2k + 1 is frame k after the cameras have spoken. `draw`, `caption` and
+    `alt` take the half-step `i` besides the controls.
+
+    steps : the history, a sequence of `kalman.Step`.
+    Raises ValueError for an empty history.
+    """
+
+    def __init__(self, steps, size=SIZE):
+        super().__init__(size)
+        self.steps = tuple(steps)
+        if not self.steps:
+            raise ValueError("a picture of a filter's history needs at least one step")
+
+    @property
+    def n(self) -> int:
+        """Number of half-steps."""
+        return 2 * len(self.steps)
+
+    def step(self, i):
+        """The frame of half-step i and whether its update is done. Raises IndexError outside 0 ... n - 1."""
+        if not 0 <= i < self.n:
+            raise IndexError(f"half-step {i} of a history with half-steps 0 to {self.n - 1}")
+        return self.steps[i // 2], bool(i % 2)
+
+    def belief(self, i):
+        """What the filter believes at half-step i: the prior on even ones, the posterior on odd ones."""
+        step, updated = self.step(i)
+        return step.posterior if updated else step.prior
+
+    def when(self, i) -> str:
+        """Frame, time and phase of half-step i, as a caption begins."""
+        step, updated = self.step(i)
+        return f"frame {step.k}, {step.time:.1f} s, {'updated' if updated else 'predicted'}"
+
+
+def _png(pixels, level) -> bytes:
+    file = io.BytesIO()
+    Image.fromarray(pixels).save(file, "png", compress_level=level)
+    return file.getvalue()
