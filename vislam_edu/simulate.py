@@ -90,7 +90,7 @@ class _Streets:
         legs = np.array([5 * stairs] + [4, 5] * stairs + [4 * stairs], float)
         legs *= (self.length + len(legs) * (2 * tangent - CORNER_LENGTH)) / legs.sum()
         straights = legs - 2 * tangent
-        if straights.min() < 0:
+        if straights.min() < 0 or straights[0] < FIRST_CORNER:
             raise ValueError(
                 f"a street loop of {self.length:.0f} m has no room for its {len(legs)} corners; make the drive longer or "
                 "faster, or give loop_length=500 to drive along a part of a longer loop"
@@ -151,8 +151,8 @@ def _scene_points(rng, n, camera, image_size, depth):
     ray = np.concatenate([uv, np.ones((n, 1))], -1) @ np.linalg.inv(camera.K).T
     with np.errstate(divide="ignore"):
         ground = np.where(ray[:, 1] > 0, CAMERA_HEIGHT / ray[:, 1], np.inf)
-        street_side = rng.uniform(4, 24, n) / np.abs(ray[:, 0])  # poles and parked cars are near, facades far
-    far_view = np.exp(rng.uniform(*np.log([20, depth[1]]), n))
+        street_side = rng.uniform(5, 30, n) / np.abs(ray[:, 0])  # poles and parked cars are near, facades far
+    far_view = np.exp(rng.uniform(*np.log([25, depth[1]]), n))
     return ray * np.clip(np.minimum(np.minimum(ground, street_side), far_view), *depth)[:, None]
 
 
@@ -169,7 +169,7 @@ def _tracks(rng, world_T_imu, camera, *, visible, life, mean_life, redetect_ever
     n_landmarks = k = 0
     while k <= n_frames - shortest:
         following = k + 1 + rng.poisson(redetect_every - 1)
-        n = 3 * visible
+        n = 2 * visible
         world_T_imu_ahead = world_T_imu[k : k + longest, None]
         points = camera.to_world(world_T_imu[k], _scene_points(rng, n, camera, image_size, depth))
         pixels, in_front = camera.observe(world_T_imu_ahead, points[None])
@@ -209,7 +209,7 @@ def perfect_street_loop(
     hills=1.0,
     visible=60,
     life=(5, 100),
-    mean_life=25.0,
+    mean_life=50.0,
     redetect_every=6,
     depth=(5.0, 120.0),
     camera=None,
@@ -306,8 +306,10 @@ def street_loop_data():
 
 
 def first_steps():
-    """The drive in data/first_steps.npz: 60 frames around one corner and 40 landmarks or so, few enough to watch each."""
-    return street_loop(seed=0, frames=60, loop_length=500.0, visible=14, mean_life=40.0, name="first steps")
+    """The drive in data/first_steps.npz: 60 frames along a street and into a corner, 42 landmarks: few enough to watch each."""
+    return street_loop(
+        seed=0, frames=60, speed=7.0, loop_length=500.0, visible=14, life=(9, 100), mean_life=100.0, name="first steps"
+    )
 
 
 def write(directory="data"):
