@@ -53,7 +53,7 @@ def _angle_functions(phi):
 
 
 def checked(value, shape, name):
-    """`value` as an array of floats whose last axes are `shape`, or a ValueError that names the shape it got."""
+    """`value` as an array of floats with last axes `shape`, or a ValueError that names the shape it got."""
     value = np.asarray(value, dtype=float)
     if value.shape[-len(shape):] != shape:
         wanted = ", ".join(map(str, shape))

@@ -24,7 +24,7 @@ from .se3 import checked
 PLACEHOLDER = np.array([0.0, 0.0, 1.0])
 PLACEHOLDER.setflags(write=False)
 
-_MIN_DEPTH = 1e-6  # m; nearer than any lens, far enough from zero that no pixel overflows
+_MIN_DEPTH = 0.1  # m; nothing on the road comes nearer, and a Jacobian grows with 1 / depth squared
 _MIN_DISPARITY = 1e-9  # px; far below what any tracker resolves, far enough from zero that no depth overflows
 _MIN_PARALLAX = 1e-9  # rad; two bearings that differ by less are parallel to rounding
 
