@@ -3,4 +3,4 @@
 import os
 
 os.environ.pop("MPLBACKEND", None)                  # "agg" would keep figures out of the notebooks' outputs
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # two workers; the matrices are too small to share among threads
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # two workers; the matrices are small

@@ -1,0 +1,119 @@
+"""What is stored in the notebooks: nbval compares only what is there, so a missing output would pass."""
+
+import ast
+import re
+from pathlib import Path
+
+import nbformat
+import pytest
+from nbformat import v4
+
+ROOT = Path(__file__).resolve().parents[1]
+NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
+LARGEST = 3_000_000  # bytes
+MACHINE_PATH = re.compile(r"/home/|/Users/|/root/|/tmp/|site-packages|\b[A-Z]:\\{1,2}(?:Users|Program)")
+PICTURES = {"image/png", "image/jpeg"}
+
+
+def problems(notebook):
+    """What is wrong with a stored notebook, each with its cell."""
+    found = ["widget state in the metadata"] if "widgets" in notebook.metadata else []
+    code = [cell for cell in notebook.cells if cell.cell_type == "code"]
+    if not code or not has_import(code[0]):
+        found.append("the first code cell holds no imports")
+    for number, cell in enumerate(notebook.cells, 1):
+        wrong = [f"{what} on someone's machine" for what in machine_paths(cell)]
+        if cell.cell_type == "code":
+            wrong += code_cell_problems(cell)
+        found += [f"cell {number}: {problem}" for problem in wrong]
+    return found
+
+
+def code_cell_problems(cell):
+    if cell.source.strip() and cell.execution_count is None:
+        yield "never run (no execution_count): nbval would not compare it"
+    if cell.source.rstrip().endswith(";"):
+        yield "ends in a semicolon, which nbval does not honour: assign the value instead"
+    for output in cell.outputs:
+        if output.output_type == "error":
+            yield f"stored error: {output.ename}"
+        if output.get("name") == "stderr":
+            yield "stored stderr"
+
+
+def has_import(cell):
+    return any(isinstance(line, ast.Import | ast.ImportFrom) for line in ast.parse(cell.source).body)
+
+
+def machine_paths(cell):
+    texts = [cell.source]
+    for output in cell.get("outputs", []):
+        texts += [str(output.get("text", "")), *output.get("traceback", [])]
+        texts += [str(data) for mime, data in output.get("data", {}).items() if mime not in PICTURES]
+    text = "\n".join(texts)
+    return set(MACHINE_PATH.findall(text)) | ({str(ROOT)} if str(ROOT) in text else set())
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+def test_stored_notebook(path):
+    assert problems(nbformat.read(path, as_version=4)) == []
+    assert path.stat().st_size < LARGEST
+
+
+def sound():
+    run = {"execution_count": 1}
+    return v4.new_notebook(cells=[
+        v4.new_markdown_cell("# $\\mathbf{T}$ and I:\\mathbb{R}"),
+        v4.new_code_cell("import numpy as np", **run),
+        v4.new_code_cell("print('a')", **run, outputs=[v4.new_output("stream", name="stdout", text="a\n")]),
+        v4.new_code_cell(""),
+    ])
+
+
+def spoil(**changes):
+    """A sound notebook with changes to its last cell that prints."""
+    notebook = sound()
+    notebook.cells[2].update(changes)
+    return notebook
+
+
+def printing(text, name="stdout"):
+    return spoil(outputs=[v4.new_output("stream", name=name, text=text)])
+
+
+def test_a_sound_notebook_passes():
+    assert problems(sound()) == []
+
+
+ERROR = v4.new_output("error", ename="KeyError", evalue="", traceback=[])
+LINK = v4.new_output("display_data", data={"text/html": "<a href='/Users/ann'>"})
+SPOILED = {
+    "never run": (spoil(execution_count=None), "never run"),
+    "semicolon": (spoil(source="ax.plot(x);"), "semicolon"),
+    "error": (spoil(outputs=[ERROR]), "stored error: KeyError"),
+    "stderr": (printing("warning", name="stderr"), "stored stderr"),
+    "path in stdout": (printing("saved /home/ann/x.png"), "/home/"),
+    "path on Windows": (printing("saved C:\\Users\\ann"), "C:\\Users"),
+    "path in html": (spoil(outputs=[LINK]), "/Users/"),
+    "path in the source": (spoil(source="load('/tmp/x.npz')"), "/tmp/"),
+}
+
+
+@pytest.mark.parametrize("name", SPOILED)
+def test_each_problem_is_found_in_its_cell(name):
+    notebook, problem = SPOILED[name]
+    [found] = problems(notebook)
+    assert found.startswith("cell 3: ")
+    assert problem in found
+
+
+def test_the_path_of_this_project_is_found():
+    assert any(str(ROOT) in problem for problem in problems(printing(f"saved {ROOT}/results")))
+
+
+def test_widget_state_and_a_first_cell_without_imports_are_found():
+    notebook = sound()
+    notebook.metadata["widgets"] = {}
+    del notebook.cells[1]
+    assert problems(notebook) == ["widget state in the metadata", "the first code cell holds no imports"]
+    assert problems(v4.new_notebook()) == ["the first code cell holds no imports"]
