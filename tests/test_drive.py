@@ -1,4 +1,4 @@
-"""`Drive`: the sparse form says what the dense array says, whatever is cut out of it; broken recordings are refused."""
+"""`Drive`: the sparse form says what the dense array says, whatever is cut from it; faults are named."""
 
 import re
 
@@ -26,8 +26,9 @@ def fields(tracks, n_frames, seed=0, **changes):
             features[:, i, first:last + 1] = rng.uniform(0, 1000, (4, last + 1 - first))
     poses = se3.exp(rng.normal(size=(n_frames, 6)))
     return {"times": 1.3e9 + 0.1 * np.arange(n_frames), "twists": rng.normal(size=(n_frames, 6)),
-            "features": features, "camera": CAMERA, "name": "small", "source": "made up", "history": ("made",),
-            "truth_world_T_cam": poses, "truth_landmarks": rng.normal(size=(len(tracks), 3))} | changes
+            "features": features, "camera": CAMERA, "name": "small", "source": "made up",
+            "history": ("made",), "truth_world_T_cam": poses,
+            "truth_landmarks": rng.normal(size=(len(tracks), 3))} | changes
 
 
 def small_drive(**changes):
@@ -44,10 +45,11 @@ def drives(draw):
     n_frames = draw(st.integers(1, 8))
     frame = st.integers(0, n_frames - 1)
     track = st.none() | st.tuples(frame, frame).map(lambda ends: (min(ends), max(ends)))
-    return Drive.from_features(**fields(draw(st.lists(track, max_size=6)), n_frames, draw(st.integers(0, 2**32 - 1))))
+    tracks = draw(st.lists(track, max_size=6))
+    return Drive.from_features(**fields(tracks, n_frames, seed=draw(st.integers(0, 999))))
 
 
-# --- the sparse form -------------------------------------------------------------------------------------------
+# the sparse form
 
 
 @given(drives())
@@ -70,7 +72,8 @@ def test_sparse_form_says_what_the_dense_array_says(drive):
 def test_minus_one_and_nan_both_mean_not_seen():
     with_nan = fields([(0, 1), (1, 2)], 3)
     with_minus_one = with_nan | {"features": np.nan_to_num(with_nan["features"], nan=-1.0)}
-    assert np.array_equal(dense(Drive.from_features(**with_nan)), dense(Drive.from_features(**with_minus_one)))
+    expected = dense(Drive.from_features(**with_nan))
+    assert np.array_equal(dense(Drive.from_features(**with_minus_one)), expected)
 
 
 @pytest.mark.parametrize("chunk", [1, 7, 13, 1 << 20])
@@ -105,7 +108,8 @@ def test_arrays_are_read_only_copies():
     drive = small_drive(twists=twists)
     twists[0] = 1.0
     assert not drive.twists.any()
-    for name in ("times", "twists", "frame_start", "landmark", "pixels", "truth_world_T_cam", "truth_landmarks"):
+    arrays = "times", "twists", "frame_start", "landmark", "pixels", "truth_world_T_cam", "truth_landmarks"
+    for name in arrays:
         with pytest.raises(ValueError, match="read-only"):
             getattr(drive, name)[0] = 0
 
@@ -116,7 +120,7 @@ def test_observed_refuses_frames_that_do_not_exist(k):
         small_drive().observed(k)
 
 
-# --- cutting ---------------------------------------------------------------------------------------------------
+# cutting
 
 
 @given(drives(), st.data())
@@ -157,7 +161,8 @@ def test_keep_landmarks(drive, data):
 
 @given(drives(), st.data())
 def test_keep_observations_that_end_tracks_early(drive, data):
-    end = np.array([data.draw(st.integers(-1, drive.n_frames - 1)) for _ in range(drive.n_landmarks)], dtype=int)
+    size, last = drive.n_landmarks, st.integers(-1, drive.n_frames - 1)
+    end = np.array(data.draw(st.lists(last, min_size=size, max_size=size)), dtype=int)
     kept = drive.keep_observations(drive.frame <= end[drive.landmark])
     expected = dense(drive)
     expected[:, np.arange(drive.n_frames) > end[:, None]] = -1e9
@@ -181,10 +186,10 @@ def test_between_counts_seconds_from_the_start_and_takes_both_ends():
         drive.between(0.6, 0.9)
 
 
-@pytest.mark.parametrize("cut", [lambda d: d.slice(3, 3), lambda d: d.slice(6), lambda d: d.slice(4, 2)])
+@pytest.mark.parametrize("cut", [(3, 3), (6,), (4, 2)], ids=str)
 def test_slice_refuses_to_be_empty(cut):
     with pytest.raises(DriveError, match="slice: no frame"):
-        cut(small_drive())
+        small_drive().slice(*cut)
 
 
 @pytest.mark.parametrize("every", [0, -1, 2.5])
@@ -196,13 +201,13 @@ def test_thin_refuses_what_is_no_count(every):
 def test_masks_must_be_boolean_and_of_the_right_length():
     drive = small_drive()
     for mask in (np.ones(3, bool), np.arange(5), np.ones((5, 1), bool)):
-        with pytest.raises(ValueError, match="mask: .* expected bool"):
+        with pytest.raises(ValueError, match=r"mask: .* expected bool"):
             drive.keep_landmarks(mask)
-        with pytest.raises(ValueError, match="mask: .* expected bool"):
+        with pytest.raises(ValueError, match=r"mask: .* expected bool"):
             drive.keep_observations(mask)
 
 
-# --- truth -----------------------------------------------------------------------------------------------------
+# truth
 
 
 @given(drives())
@@ -232,7 +237,7 @@ def test_no_truth():
     assert drive.slice(1, 4).thin(2).truth_world_T_cam is None
 
 
-# --- validation ------------------------------------------------------------------------------------------------
+# validation
 
 
 def put(array, index, value):
@@ -242,10 +247,11 @@ def put(array, index, value):
 
 
 GOOD = small_drive()
+POSES = GOOD.truth_world_T_cam
 BROKEN = {
     "times, shape": ({"times": GOOD.times[None]}, r"times: shape \(1, 6\)"),
     "times, nan": ({"times": put(GOOD.times, 3, np.nan)}, r"times: nan at index \(3,\)"),
-    "times, repeated": ({"times": put(GOOD.times, 3, GOOD.times[2])}, "times: do not increase, frame 2 is at"),
+    "times, repeated": ({"times": put(GOOD.times, 3, GOOD.times[2])}, "times: do not increase, frame 2 is"),
     "times, backwards": ({"times": GOOD.times[::-1]}, "times: do not increase, frame 0 is at"),
     "times, text": ({"times": list("abcdef")}, "times: could not convert"),
     "empty": ({"times": [], "twists": np.empty((0, 6)), "frame_start": [0]}, "times: the recording is empty"),
@@ -257,19 +263,19 @@ BROKEN = {
     "frame_start, falls": ({"frame_start": put(GOOD.frame_start, 2, 9)}, "frame_start: must rise"),
     "frame_start, end": ({"frame_start": put(GOOD.frame_start, -1, 9)}, "frame_start: must rise"),
     "landmark, range": ({"n_landmarks": 4}, "landmark: 4 at index 10, expected 0 to 3"),
-    "landmark, order": ({"landmark": put(GOOD.landmark, [1, 2], [2, 0])}, "landmark: not ascending in frame 1"),
+    "landmark, order": ({"landmark": put(GOOD.landmark, [1, 2], [2, 0])}, "not ascending in frame 1"),
     "landmark, twice": ({"landmark": put(GOOD.landmark, 2, 0)}, "landmark: not ascending in frame 1"),
     "pixels, shape": ({"pixels": GOOD.pixels[:, :3]}, r"pixels: shape \(11, 3\), expected \(11, 4\)"),
     "pixels, nan": ({"pixels": put(GOOD.pixels, (5, 2), np.nan)}, r"pixels: nan at index \(5, 2\)"),
     "truth, shape": ({"truth_world_T_cam": np.eye(4)}, r"truth_world_T_cam: shape \(4, 4\)"),
-    "truth, half": ({"truth_world_T_cam": put(GOOD.truth_world_T_cam, (3, 0, 0), np.nan)}, "frame 3 is neither"),
-    "truth, mirror": ({"truth_world_T_cam": put(GOOD.truth_world_T_cam, 4, np.diag([1, 1, -1, 1]))},
+    "truth, half": ({"truth_world_T_cam": put(POSES, (3, 0, 0), np.nan)}, "frame 3 is neither"),
+    "truth, mirror": ({"truth_world_T_cam": put(POSES, 4, np.diag([1, 1, -1, 1]))},
                       "truth_world_T_cam: frame 4 is not a rigid motion"),
-    "truth, scaled": ({"truth_world_T_cam": put(GOOD.truth_world_T_cam, 4, np.diag([2, 2, 2, 1]))}, "frame 4 is not"),
-    "truth, last row": ({"truth_world_T_cam": put(GOOD.truth_world_T_cam, (4, 3, 0), 1)}, "frame 4 is not"),
+    "truth, scaled": ({"truth_world_T_cam": put(POSES, 4, np.diag([2, 2, 2, 1]))}, "frame 4 is not"),
+    "truth, last row": ({"truth_world_T_cam": put(POSES, (4, 3, 0), 1)}, "frame 4 is not"),
     "truth landmarks, shape": ({"truth_landmarks": np.zeros((4, 3))}, r"truth_landmarks: shape \(4, 3\)"),
-    "truth landmarks, inf": ({"truth_landmarks": put(GOOD.truth_landmarks, (3, 1), np.inf)}, "landmark 3 is at inf"),
-    "truth landmarks alone": ({"truth_world_T_cam": None}, "truth_landmarks: given without truth_world_T_cam"),
+    "truth landmarks, inf": ({"truth_landmarks": put(GOOD.truth_landmarks, (3, 1), np.inf)}, "landmark 3 is"),
+    "truth landmarks alone": ({"truth_world_T_cam": None}, "truth_landmarks: given without"),
 }
 
 
@@ -297,11 +303,11 @@ def test_an_observation_with_some_numbers_missing_is_named(monkeypatch, missing,
 
 def test_an_infinite_pixel_is_named():
     features = put(fields([(0, 5)] * 3, 6)["features"], (1, 2, 4), np.inf)
-    with pytest.raises(DriveError, match="features: landmark 2, frame 4 is .*inf.* expected finite"):
+    with pytest.raises(DriveError, match=r"features: landmark 2, frame 4 is .*inf.* expected finite"):
         Drive.from_features(GOOD.times, GOOD.twists, features, CAMERA)
 
 
-@pytest.mark.parametrize("features", [np.zeros((4, 6)), np.zeros((3, 2, 6)), np.zeros((4, 2, 5))])
-def test_features_of_the_wrong_shape(features):
-    with pytest.raises(DriveError, match=re.escape(f"features: shape {features.shape}, expected (4, landmarks, 6)")):
-        Drive.from_features(GOOD.times, GOOD.twists, features, CAMERA)
+@pytest.mark.parametrize("shape", [(4, 6), (3, 2, 6), (4, 2, 5)], ids=str)
+def test_features_of_the_wrong_shape(shape):
+    with pytest.raises(DriveError, match=re.escape(f"features: shape {shape}, expected (4")):
+        Drive.from_features(GOOD.times, GOOD.twists, np.zeros(shape), CAMERA)

@@ -60,6 +60,12 @@ class Fields:
             raise DriveError(f"{name}: holds {value.dtype}, expected an array of numbers")
         return value
 
+    def number(self, name):
+        value = self.numbers(name)
+        if value.size != 1:
+            raise DriveError(f"{name}: shape {value.shape}, expected one number")
+        return value.item()
+
     def _read(self, name):
         try:
             return self._mapping[name]

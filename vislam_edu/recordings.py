@@ -46,8 +46,8 @@ def save(drive, path):
     """
     camera = drive.camera
     fields = {"format": _FORMAT, "K": camera.K, "baseline": camera.baseline, "cam_T_imu": camera.cam_T_imu,
-              "history": np.array(drive.history, dtype=str)}
-    fields |= {key: getattr(drive, key) for key in (*_OWN_ARRAYS, *_OWN_SCALARS)}
+              "n_landmarks": drive.n_landmarks, "history": np.array(drive.history, dtype=str)}
+    fields |= {key: getattr(drive, key) for key in (*_OWN_ARRAYS, *_OWN_TEXTS)}
     fields |= {key: getattr(drive, key) for key in _OWN_TRUTH if getattr(drive, key) is not None}
     with files.replacing(path) as file:
         np.savez_compressed(file, **fields)
@@ -102,8 +102,8 @@ def save_tum(path, times, poses):
     _write_rows(path, np.column_stack([times, poses[:, :3, 3], quaternions]), first="%.9f")
 
 
-_OWN_ARRAYS = ("times", "twists", "frame_start", "landmark", "pixels", "n_landmarks")
-_OWN_SCALARS = ("name", "source", "imu_sample")
+_OWN_ARRAYS = ("times", "twists", "frame_start", "landmark", "pixels")
+_OWN_TEXTS = ("name", "source", "imu_sample")
 _OWN_TRUTH = ("truth_world_T_cam", "truth_landmarks")
 
 
@@ -115,10 +115,7 @@ def _npz_layout(fields, name):
     cam_T_imu = _rigid(extrinsic, fields.numbers(extrinsic))
     if extrinsic == "imu_T_cam":
         cam_T_imu = se3.inverse(cam_T_imu)
-    baseline = fields.numbers("b")
-    if baseline.size != 1:
-        raise DriveError(f"b: shape {baseline.shape}, expected one number, the baseline in m")
-    camera = _camera(fields.numbers("K"), baseline.item(), cam_T_imu)
+    camera = _camera(fields.numbers("K"), fields.number("b"), cam_T_imu)
     return _dense_drive(times, twists, fields, camera, name)
 
 
@@ -142,11 +139,11 @@ def _pickled_layout(fields, name):
 def _own_drive(fields):
     if fields.text("format") != _FORMAT:
         raise DriveError(f"format: {fields.text('format')!r}, expected {_FORMAT!r}")
-    camera = _camera(fields.numbers("K"), fields.numbers("baseline").item(), fields.numbers("cam_T_imu"))
+    camera = _camera(fields.numbers("K"), fields.number("baseline"), fields.numbers("cam_T_imu"))
     values = {key: fields.numbers(key) for key in _OWN_ARRAYS}
     values |= {key: fields.numbers(key) for key in _OWN_TRUTH if key in fields}
-    values |= {key: fields.text(key) for key in _OWN_SCALARS}
-    values["n_landmarks"] = int(values["n_landmarks"])
+    values |= {key: fields.text(key) for key in _OWN_TEXTS}
+    values["n_landmarks"] = int(fields.number("n_landmarks"))
     return Drive(camera=camera, history=tuple(fields.text("history")), **values)
 
 
