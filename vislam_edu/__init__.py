@@ -15,3 +15,10 @@ arrays          everything broadcasts over leading axes
 """
 
 __version__ = "0.1.0"
+
+import scipy.linalg  # noqa: F401 - loads the linear algebra libraries that the next lines speak to
+import threadpoolctl
+
+# The filters' matrices have a few hundred rows. At that size the threads of one product wait for each other longer
+# than they work, and on a busy machine many times longer: one thread does the linear algebra of this process.
+threadpoolctl.threadpool_limits(limits=1, user_api="blas")
