@@ -1,11 +1,11 @@
 """Faults of real recordings, planted on purpose in a good one, so that an audit can be seen to find them.
 
-Each function returns a new `Drive` and says in its `history` what was planted. The ground truth stays what it was.
+Each function returns a new `Drive` and says in its `history` what was planted. The ground truth stays what it
+was.
 """
 
 import numpy as np
 
-from vislam_edu import se3
 from vislam_edu.stereo import StereoCamera
 
 
@@ -19,10 +19,11 @@ def _with_extrinsics(drive, cam_T_imu, what):
 
 
 def flip_imu_axes(drive, signs=(1, -1, -1)):
-    """The extrinsics belong to an IMU frame with some axes reversed, while the samples stay in the frame they were in.
+    """The extrinsics belong to an IMU frame with some axes reversed; the samples stay as they were.
 
-    signs (3,) of +1 and -1 with product +1 (a reflection is no frame). (1, -1, -1), forward-right-down extrinsics with
-    forward-left-up samples, is the fault of the report's dataset 3. The cure is the same flip again.
+    signs (3,) of +1 and -1 with product +1 (a reflection is no frame). (1, -1, -1), forward-right-down
+    extrinsics with forward-left-up samples, is the fault of the report's dataset 3. The cure is the same flip
+    again.
     """
     signs = np.asarray(signs)
     if signs.shape != (3,) or not np.isin(signs, (-1, 1)).all() or signs.prod() != 1:
@@ -34,8 +35,8 @@ def flip_imu_axes(drive, signs=(1, -1, -1)):
 def wrong_lever_arm(drive, translation=None):
     """The extrinsics carry a wrong translation (3,), m.
 
-    By default the camera's position in the IMU frame, written where cam_T_imu wants the IMU's position in the camera
-    frame: the two differ by `t = -R p`, and 0027.npz confuses them.
+    By default the camera's position in the IMU frame, written where cam_T_imu wants the IMU's position in the
+    camera frame: the two differ by `t = -R p`, and 0027.npz confuses them.
     """
     cam_T_imu = drive.camera.cam_T_imu.copy()
     cam_T_imu[:3, 3] = drive.camera.imu_T_cam[:3, 3] if translation is None else translation
@@ -53,11 +54,11 @@ def add_gyro_bias(drive, bias):
 def delay_imu(drive, samples=1):
     """The IMU comes late: sample k + samples holds what sample k held. The first ones repeat the first.
 
-    After a delay of one, sample k+1 tells the motion from frame k to k+1, as in the real recordings, but the drive's
-    `imu_sample` still claims what it claimed before.
+    After a delay of one, sample k+1 tells the motion from frame k to k+1, as in the real recordings, but the
+    drive's `imu_sample` still claims what it claimed before.
     """
     if not 0 <= samples < drive.n_frames:
-        raise ValueError(f"samples must be in 0..{drive.n_frames - 1} for {drive.n_frames} frames, got {samples}")
+        raise ValueError(f"samples must be in 0..{drive.n_frames - 1}, got {samples}")
     late = np.maximum(np.arange(drive.n_frames) - samples, 0)
     return _planted(drive, f"IMU late by {samples} samples", twists=drive.twists[late])
 
@@ -65,46 +66,49 @@ def delay_imu(drive, samples=1):
 def copy_frames(drive, frames=None):
     """At some frames the tracker copies its old pixels and goes on from them.
 
-    At a copy frame, every track seen there and one frame before has exactly the pixels of the frame before. Afterwards
-    it moves as the true track moves, but from the stale place: each copy leaves the track one increment behind for good.
-    Those that are born at the frame are right.
+    At a copy frame, every track seen there and one frame before has exactly the pixels of the frame before.
+    Afterwards it moves as the true track moves, but from the stale place: each copy leaves the track one
+    increment behind for good, the increment's noise included. Those that are born at the frame are right.
 
-    frames : copy frames; by default every frame after the first where a landmark is born, as in the real recordings.
+    frames : copy frames; by default every frame after the first where a landmark is born, as in the real
+        recordings.
     """
     frames = np.unique(drive.first_seen[drive.first_seen > 0]) if frames is None else np.asarray(frames, int)
-    if frames.size and not (0 < frames.min() and frames.max() < drive.n_frames):
-        raise ValueError(f"copy frames must lie in 1..{drive.n_frames - 1}, got {frames.min()}..{frames.max()}")
+    if frames.size and not (frames.min() > 0 and frames.max() < drive.n_frames):
+        raise ValueError(
+            f"copy frames must lie in 1..{drive.n_frames - 1}, got {frames.min()}..{frames.max()}"
+        )
     order = np.lexsort((drive.frame, drive.landmark))  # track by track
     frame, landmark, pixels = drive.frame[order], drive.landmark[order], drive.pixels[order]
 
-    follows = (np.diff(landmark) == 0) & (np.diff(frame) == 1) & np.isin(frame[1:], frames)
-    lost = np.zeros_like(pixels)  # the increment into each observation, where it is a copy
-    lost[1:][follows] = np.diff(pixels, axis=0)[follows]
-    stale = pixels.copy()
-    for track in np.split(np.arange(len(landmark)), np.flatnonzero(np.diff(landmark)) + 1):
-        stale[track] -= np.cumsum(lost[track], axis=0)
-    copies = np.flatnonzero(follows) + 1
-    for i in copies:  # exactly the same numbers, not the same to rounding: that is how a copy is recognised
-        stale[i] = stale[i - 1]
+    row = np.arange(len(landmark))
+    track_begin = np.searchsorted(landmark, landmark)
+    copy = (row > track_begin) & np.isin(frame, frames)
+    increment = np.diff(pixels, axis=0, prepend=pixels[:1])
+    lost = np.cumsum(np.where(copy[:, None], increment, 0), axis=0)
+    stale = pixels - (lost - lost[track_begin])
+    # A copy is recognised by having exactly the same numbers, not the same to rounding.
+    copied_from = np.maximum.accumulate(np.where(copy, 0, row))
     result = np.empty_like(stale)
-    result[order] = stale
+    result[order] = stale[copied_from]
     return _planted(drive, f"pixels copied at {len(frames)} frames", pixels=result)
 
 
 def outlier_tracks(drive, share, seed=0):
     """A share in [0, 1] of the tracks is wrong for its whole life; needs ground truth.
 
-    Half of them move: the point has a constant velocity of 2 to 8 m/s along the ground, like a pedestrian or a car.
-    Half are stereo mismatches: the right pixel is off by a constant 5 to 30 px to the left or right (disparities may
-    become negative, as in the real recordings). A mover that would leave the image before its track ends is made a
-    mismatch instead, so that tracks keep their lengths. The true landmark of a mover is where it was first seen.
+    Half of them move: the point has a constant velocity of 2 to 8 m/s along the ground, like a pedestrian or
+    a car (the truth's world has z up). Half are stereo mismatches: the right pixel is off by a constant 5 to
+    30 px to the left or right (disparities may become negative, as in the real recordings). A mover that
+    would leave the image before its track ends is made a mismatch instead: tracks keep their lengths. The
+    true landmark of a mover is where it was first seen.
 
     seed : int or numpy Generator.
     """
     if not 0 <= share <= 1:
         raise ValueError(f"share of outlier tracks must be in [0, 1], got {share}")
     if drive.truth_landmarks is None or drive.truth_world_T_cam is None:
-        raise ValueError("moving points need a drive with truth_world_T_cam and truth_landmarks; this one has none")
+        raise ValueError("moving points need a drive with truth_world_T_cam and truth_landmarks")
     rng = np.random.default_rng(seed)
     M, camera = drive.n_landmarks, drive.camera
     chosen = rng.permutation(M) < round(share * M)
@@ -119,7 +123,8 @@ def outlier_tracks(drive, share, seed=0):
     stands = drive.truth_landmarks[landmark]
     there, _ = camera.observe(world_T_imu, stands)
     moved, in_front = camera.observe(world_T_imu, stands + age[:, None] * velocity[landmark])
-    inside = (moved >= drive.pixels.min(0)) & (moved <= drive.pixels.max(0))  # where this drive sees anything at all
+    # Inside the image, as far as this drive shows where its borders are.
+    inside = (moved >= drive.pixels.min(0)) & (moved <= drive.pixels.max(0))
     moves[landmark[~(in_front & inside.all(-1))]] = False
 
     pixels = drive.pixels + np.where(moves[landmark, None], moved - there, 0)

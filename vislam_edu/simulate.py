@@ -1,11 +1,12 @@
 """A drive with ground truth: a car with a stereo camera and an IMU goes once around a street loop.
 
-`perfect_street_loop` makes the geometry (road, motion, landmarks, exact pixels and an exact IMU), `add_noise` spoils the
-sensors, `street_loop` does both. Every random draw comes from the seed, and road, landmarks, IMU noise and pixel
-noise each have a stream of their own: another noise leaves the geometry alone, to the last bit.
+`perfect_street_loop` makes the geometry (road, motion, landmarks, exact pixels and an exact IMU), `add_noise`
+spoils the sensors, `street_loop` does both. Every random draw comes from the seed, and road, landmarks, IMU
+noise and pixel noise each have a stream of their own: another noise leaves the geometry alone.
 
-The defaults resemble KITTI and the report's recordings: the camera, 10 m/s, about 60 landmarks in view, tracks of
-5 to 100 frames that never come back, new ones born in bursts because a tracker looks for corners only now and then.
+The defaults resemble KITTI and the report's recordings: the camera, 10 m/s, about 60 landmarks in view,
+tracks of 5 to 100 frames that never come back, new ones born in bursts because a tracker looks for corners
+only now and then.
 
 `python -m vislam_edu.simulate [directory]` writes the two drives that the notebooks use.
 """
@@ -25,6 +26,7 @@ from vislam_edu.stereo import StereoCamera
 IMAGE_SIZE = (1241, 376)  # px, width and height
 CORNER_LENGTH = 30.0  # m of road in which a corner turns by 90 degrees
 FIRST_CORNER = 25.0  # m from the start
+SHORTEST_LOOP = 400.0  # m, unless asked for
 CAMERA_HEIGHT = 1.65  # m above the road
 NEAREST = 3.0  # m, a tracker loses what comes closer: it changes too much from frame to frame
 
@@ -37,7 +39,7 @@ def _stream(seed, purpose):
 
 
 def kitti_camera():
-    """A `StereoCamera` like KITTI's, mounted 1.1 m in front of the IMU and 0.3 m above it, looking straight ahead.
+    """A `StereoCamera` like KITTI's, 1.1 m in front of the IMU and 0.3 m above it, looking straight ahead.
 
     Source: Geiger et al., Vision meets robotics: the KITTI dataset (2013), figures rounded.
     """
@@ -47,7 +49,7 @@ def kitti_camera():
     return StereoCamera(K=K, baseline=0.54, cam_T_imu=se3.pose(cam_R_imu, -cam_R_imu @ camera_in_imu))
 
 
-# --- the road ---------------------------------------------------------------------------------------------------------
+# --- the road -----------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -72,11 +74,10 @@ class _Waves:
 
 @dataclass(frozen=True)
 class _Streets:
-    """Centre line of a closed chain of straight streets and smooth 90 degree corners: a staircase, down again and back.
+    """Centre line of a closed chain of straight streets and smooth 90 degree corners: a staircase and back.
 
-    `length` is the way once around, m; about every 150 m there is a corner, so a longer loop has more stairs. One stair is
-    a rectangle.
-    A corner's curvature rises and falls as 1 - cos, so the steering wheel never jumps.
+    `length` is the way once around, m; about every 150 m there is a corner, so a longer loop has more stairs.
+    One stair is a rectangle. A corner's curvature rises and falls as 1 - cos: the steering wheel never jumps.
     """
 
     length: float
@@ -86,14 +87,15 @@ class _Streets:
         stairs = max(1, round(self.length / 400))
         signs = np.array([1] + [1, -1] * (stairs - 1) + [1, 1, 1])
         u = np.linspace(0, 1, 1001)
-        tangent = CORNER_LENGTH * np.trapezoid(np.cos(np.pi / 2 * _smooth_step(u)), u)  # m cut off each leg at a corner
+        # m that a corner cuts off the legs on either side
+        tangent = CORNER_LENGTH * np.trapezoid(np.cos(np.pi / 2 * _smooth_step(u)), u)
         legs = np.array([5 * stairs] + [4, 5] * stairs + [4 * stairs], float)
         legs *= (self.length + len(legs) * (2 * tangent - CORNER_LENGTH)) / legs.sum()
         straights = legs - 2 * tangent
         if straights.min() < 0 or straights[0] < FIRST_CORNER:
             raise ValueError(
-                f"a street loop of {self.length:.0f} m has no room for its {len(legs)} corners; make the drive longer or "
-                "faster, or give loop_length=500 to drive along a part of a longer loop"
+                f"a street loop of {self.length:.0f} m has no room for its {len(legs)} corners; "
+                "give a larger loop_length"
             )
         begin = np.cumsum(straights + CORNER_LENGTH) - CORNER_LENGTH
         return begin - begin[0] + FIRST_CORNER, signs
@@ -112,10 +114,10 @@ def _smooth_step(u):
 
 
 def _drive_along(rng, times, speed, loop_length, hills):
-    """The poses world_T_imu (T, 4, 4) of a car that follows the streets: x east, y north, z up, start heading east.
+    """The poses world_T_imu (T, 4, 4) of a car that follows the streets; x east, y north, z up.
 
-    It slows down by half in corners, weaves within its lane, climbs hills of `hills` m RMS, leans in corners and shakes
-    a little on a rough road, so that all six degrees of freedom move.
+    It slows down by half in corners, weaves within its lane, climbs hills of `hills` m RMS, leans in corners
+    and shakes a little on a rough road, so that all six degrees of freedom move. It starts along x.
     """
     s = np.arange(0, loop_length, 0.05)
     s = np.append(s, loop_length)
@@ -127,26 +129,26 @@ def _drive_along(rng, times, speed, loop_length, hills):
     lap_time = cumulative_trapezoid(1 / pace, s, initial=0)
     lap_time *= loop_length / speed / lap_time[-1]
 
-    laps, within = np.divmod(times - times[0], lap_time[-1])
-    at = np.interp(within, lap_time, s)
+    at = np.interp((times - times[0]) % lap_time[-1], lap_time, s)
     heading, curvature, x, y = (np.interp(at, s, values) for values in (heading, curvature, x, y))
 
     lane = _Waves.draw(rng, loop_length, (40, 120), 0.3)
     hill = _Waves.draw(rng, loop_length, (100, 300), hills)
     heave, pitch, roll = (_Waves.draw(rng, loop_length, (8, 25), rms) for rms in (0.01, 0.004, 0.004))
 
-    position = np.stack([x - lane(at) * np.sin(heading), y + lane(at) * np.cos(heading), hill(at) + heave(at)], -1)
+    x, y = x - lane(at) * np.sin(heading), y + lane(at) * np.cos(heading)
+    position = np.stack([x, y, hill(at) + heave(at)], -1)
     yaw = heading + np.arctan2(lane.slope(at), 1 - curvature * lane(at))
     pitches = pitch(at) - np.arctan(hill.slope(at))  # nose up is a negative turn about y, which points left
     rolls = roll(at) + 0.3 * curvature
     return se3.pose(Rotation.from_euler("ZYX", np.stack([yaw, pitches, rolls], -1)).as_matrix(), position)
 
 
-# --- what the camera sees ---------------------------------------------------------------------------------------------
+# --- what the camera sees -----------------------------------------------------------------------------------
 
 
 def _scene_points(rng, n, camera, image_size, depth):
-    """n points in the camera frame (n, 3), m: where random pixels meet the ground, a facade, a tree or the far view."""
+    """n points in the camera frame (n, 3), m, where random pixels meet ground, street side or far view."""
     uv = rng.uniform((0, 0), image_size, (n, 2))
     ray = np.concatenate([uv, np.ones((n, 1))], -1) @ np.linalg.inv(camera.K).T
     with np.errstate(divide="ignore"):
@@ -157,10 +159,11 @@ def _scene_points(rng, n, camera, image_size, depth):
 
 
 def _tracks(rng, world_T_imu, camera, *, visible, life, mean_life, redetect_every, depth, image_size):
-    """Landmarks (M, 3) and their observations: frame (N,), landmark (N,), exact pixels (N, 4); frame by frame.
+    """Landmarks (M, 3) and what is seen of them: frame (N,), landmark (N,), pixels (N, 4), in this order.
 
-    At each detection so many candidates become landmarks that the number in view, averaged until the next detection, is
-    `visible`. A track ends when a random life is over, or when the point leaves one of the two images or comes too near.
+    At each detection so many candidates become landmarks that the number in view, averaged until the next
+    detection, is `visible`. A track ends when a random life is over, or when the point leaves one of the two
+    images or comes too near.
     """
     n_frames = len(world_T_imu)
     shortest, longest = life
@@ -195,7 +198,7 @@ def _tracks(rng, world_T_imu, camera, *, visible, life, mean_life, redetect_ever
     return np.concatenate(landmarks), frame[order], landmark[order], pixels[order]
 
 
-# --- drives -----------------------------------------------------------------------------------------------------------
+# --- drives -------------------------------------------------------------------------------------------------
 
 
 def perfect_street_loop(
@@ -220,18 +223,21 @@ def perfect_street_loop(
 
     frames, tau, jitter : number of frames, mean time between them (s), and its uniform variation (+- s).
     speed : mean speed, m/s; the car is slower in corners.
-    loop_length : m once around the loop; by default the drive's length, so the last frame is back where the first one was.
-        A longer loop is driven in part, a shorter one several times.
+    loop_length : m once around the loop; by default the drive's length, so the last frame is back where the
+        first one was, but at least 400 m. A loop longer than the drive is driven in part, a shorter one
+        several times.
     hills : RMS height of the hills, m.
     visible : landmarks in view, on average.
-    life, mean_life : shortest and longest track, frames, and the mean of the random life; leaving the image shortens it.
+    life, mean_life : shortest and longest track, frames, and the mean of the random life; leaving the image
+        shortens it.
     redetect_every : mean number of frames between two detections; only there are landmarks born.
     depth : nearest and farthest depth at which a landmark is born, m.
     camera, image_size : by default `kitti_camera()` and its (width, height), px.
 
-    The IMU sample k is the constant twist from frame k to k+1, exactly: `T[k+1] = T[k] exp(tau_k xi_k^)`. The last
-    sample, which no frame follows, repeats the one before. The world of the ground truth has x along the first street
-    and z up. Raises ValueError when an argument is out of range or the loop is too short for its corners.
+    The IMU sample k is the constant twist from frame k to k+1, exactly: `T[k+1] = T[k] exp(tau_k xi_k^)`. The
+    last sample, which no frame follows, repeats the one before. The world of the ground truth has x along the
+    first street and z up. Raises ValueError when an argument is out of range or the loop is too short for its
+    corners.
     """
     shortest, longest = life
     if not 1 <= shortest <= longest:
@@ -242,18 +248,19 @@ def perfect_street_loop(
         raise ValueError(f"jitter must be in [0, tau / 2), got jitter {jitter} s and tau {tau} s")
     if speed <= 0 or visible < 1 or redetect_every < 1:
         raise ValueError(
-            f"speed must be > 0, visible and redetect_every >= 1, got {speed} m/s, {visible}, {redetect_every}"
+            f"speed must be > 0, visible and redetect_every >= 1, "
+            f"got {speed} m/s, {visible} and {redetect_every}"
         )
     camera = kitti_camera() if camera is None else camera
     times = tau * np.arange(frames) + _stream(seed, _TIMES).uniform(-jitter / 2, jitter / 2, frames)
     times -= times[0]
-    loop_length = speed * times[-1] if loop_length is None else loop_length
+    loop_length = max(speed * times[-1], SHORTEST_LOOP) if loop_length is None else loop_length
     world_T_imu = _drive_along(_stream(seed, _ROAD), times, speed, loop_length, hills)
     step = se3.log(se3.inverse(world_T_imu[:-1]) @ world_T_imu[1:]) / np.diff(times)[:, None]
     landmarks, frame, landmark, pixels = _tracks(
         _stream(seed, _TRACKS), world_T_imu, camera, visible=visible, life=life, mean_life=mean_life,
         redetect_every=redetect_every, depth=depth, image_size=image_size,
-    )  # fmt: skip
+    )
     return Drive(
         times=times,
         twists=np.concatenate([step, step[-1:]]),
@@ -273,8 +280,9 @@ def perfect_street_loop(
 def add_noise(drive, seed=0, *, sigma_v=0.5, sigma_omega=0.05, sigma_px=0.7, gyro_bias=(0.0, 0.0, 0.0)):
     """The drive with white noise on every IMU sample and every pixel coordinate, and a constant gyro bias.
 
-    sigma_v m/s and sigma_omega rad/s per IMU sample and axis, sigma_px px, gyro_bias (3,) rad/s. The same seed draws
-    the same standard normal numbers whatever the sigmas are, so runs that differ in a sigma compare like with like.
+    sigma_v m/s and sigma_omega rad/s per IMU sample and axis, sigma_px px, gyro_bias (3,) rad/s. The same
+    seed draws the same standard normal numbers whatever the sigmas are, so runs that differ in a sigma
+    compare like with like.
     """
     scale = np.repeat([sigma_v, sigma_omega], 3)
     twists = drive.twists + scale * _stream(seed, _IMU).standard_normal(drive.twists.shape)
@@ -284,13 +292,14 @@ def add_noise(drive, seed=0, *, sigma_v=0.5, sigma_omega=0.05, sigma_px=0.7, gyr
 
 
 def street_loop(
-    seed=0, *, frames=500, sigma_v=0.5, sigma_omega=0.05, sigma_px=0.7, gyro_bias=(0.0, 0.0, 0.0), outlier_share=0.0,
-    **geometry,
-):  # fmt: skip
+    seed=0, *, frames=500, sigma_v=0.5, sigma_omega=0.05, sigma_px=0.7, gyro_bias=(0.0, 0.0, 0.0),
+    outlier_share=0.0, **geometry,
+):
     """A `Drive` around a street loop with ground truth and noisy sensors.
 
-    The noise is that of `add_noise`; outlier_share in [0, 1] of the tracks are wrong as in `faults.outlier_tracks`
-    (the ground truth keeps the landmark they pretend to be); all else goes to `perfect_street_loop`.
+    The noise is that of `add_noise`; outlier_share in [0, 1] of the tracks are wrong as in
+    `faults.outlier_tracks` (the ground truth keeps the landmark they pretend to be); all else goes to
+    `perfect_street_loop`.
     """
     drive = perfect_street_loop(seed, frames=frames, **geometry)
     if outlier_share:
@@ -306,9 +315,10 @@ def street_loop_data():
 
 
 def first_steps():
-    """The drive in data/first_steps.npz: 60 frames along a street and into a corner, 42 landmarks: few enough to watch each."""
+    """The drive in data/first_steps.npz: 60 frames into a corner, 42 landmarks, few enough to watch each."""
     return street_loop(
-        seed=0, frames=60, speed=7.0, loop_length=500.0, visible=14, life=(9, 100), mean_life=100.0, name="first steps"
+        seed=0, frames=60, speed=7.0, loop_length=500.0, visible=14, life=(9, 100), mean_life=100.0,
+        name="first steps",
     )
 
 
