@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from vislam_edu import kalman
+from vislam_edu import kalman, style
 from vislam_edu.pictures.canvas import Number, Picture, StepPicture, Switch
 from vislam_edu.widgets import SPEEDS, Panel, Stepper
 
@@ -17,10 +17,10 @@ class Bar(Picture):
     """A line as high as its control says."""
 
     name = "bar"
+    size = (2, 1)
     controls = {"height": Number("height, m", 1.0, 0.0, 4.0, 0.5), "filled": Switch("filled", False)}
 
-    def __init__(self):
-        super().__init__(size=(2, 1))
+    def build(self):
         axes = self.figure.add_axes((0.1, 0.1, 0.8, 0.8), xlim=(0, 1), ylim=(0, 4))
         (self.line,) = axes.plot([0.2, 0.8], [0, 0], "k", lw=3)  # off the frame, which a whole redraw paints last
         self.moves(self.line)
@@ -38,9 +38,9 @@ class Bar(Picture):
 
 class Half(StepPicture):
     name = "half"
+    size = (2, 1)
 
-    def __init__(self, steps):
-        super().__init__(steps, size=(2, 1))
+    def build(self):
         axes = self.figure.add_axes((0, 0, 1, 1), xlim=(0, 10), ylim=(-1, 1))
         (self.dot,) = axes.plot([0], [0], "o")
         self.moves(self.dot)
@@ -95,7 +95,8 @@ def test_picture_depends_on_the_state_only_not_on_the_way_there():
 def test_blitted_picture_has_the_pixels_of_a_whole_redraw():
     picture = Bar()
     blitted = pixels(picture.png(height=2.0, filled=True))
-    picture.canvas.draw()
+    with style.context():
+        picture.canvas.draw()
     whole = np.asarray(picture.canvas.buffer_rgba())[..., :3]
     np.testing.assert_array_equal(blitted, whole)
 

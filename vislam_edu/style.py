@@ -1,13 +1,13 @@
 """One look for every picture of the series: a method keeps its colour and its line from the first chapter on.
 
-The colours of the trajectories differ in lightness too, so they stay apart in a grey print and for colour-blind
-readers, and every method has a line style of its own.
+The colours of the trajectories differ in lightness too, so they stay apart in a grey print and for
+colour-blind readers, and every method has a line style of its own.
 """
 
 import sys
 
 import numpy as np
-from matplotlib import rcParams
+from matplotlib import rc_context, rcParams
 from scipy.stats import chi2
 
 COLOURS = {
@@ -47,8 +47,16 @@ LINESTYLES = {
     "expected": "--",
 }
 
-MARKERS = {"truth": "+", "measured": "o", "predicted": "x", "dead_reckoning": "s", "mapping": "^", "slam": "o",
-           "invariant": "o"}
+MARKERS = {
+    "truth": "+",
+    "dead_reckoning": "s",
+    "mapping": "^",
+    "report": "o",
+    "slam": "o",
+    "invariant": "o",
+    "measured": "o",
+    "predicted": "x",
+}
 
 LABELS = {
     "truth": "ground truth",
@@ -96,7 +104,14 @@ def use():
     if shell is not None:
         from matplotlib_inline.config import InlineBackend
 
-        InlineBackend.instance(parent=shell).print_figure_kwargs = {**PNG, "bbox_inches": "tight"}
+        backend = InlineBackend.instance(parent=shell)
+        backend.shell = shell  # so that a Figure made without pyplot is shown as well
+        backend.print_figure_kwargs = {**PNG, "bbox_inches": "tight"}
+
+
+def context():
+    """The style for the pictures drawn inside a `with` block, whatever is set outside."""
+    return rc_context(_RC)
 
 
 def _ipython():
@@ -115,8 +130,8 @@ def ellipse_points(mean, covariance, probability=0.95, n=60):
 
     mean : (..., 2). covariance : (..., 2, 2), same units squared, positive semi-definite.
     Returns (..., n, 2), a closed outline: the first point again at the end.
-    The squared distance of a Gaussian in two dimensions is chi-square with 2 degrees of freedom; "two sigma" in the
-    plane would hold 86 %, not 95 %.
+    The squared distance of a Gaussian in two dimensions is chi-square with 2 degrees of freedom; "two sigma"
+    in the plane would hold 86 %, not 95 %.
     Raises ValueError for a probability outside (0, 1).
     """
     if not 0 < probability < 1:

@@ -9,8 +9,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from PIL import Image
 
-SIZE = (10.0, 5.0)  # inches; at 100 dots per inch 1000 x 500 px
-DPI = 100
+from .. import style
 
 _FAST, _SMALL = 1, 9  # zlib levels: for a picture that lives for one frame, and for one that is stored
 
@@ -60,21 +59,32 @@ class Still:
 class Picture:
     """A figure whose state is set by `draw(...)`; a chapter's picture derives from it.
 
-    A subclass builds its axes on `self.figure`, gives every artist that changes to `self.moves(...)`, and defines
-    `draw(**state)`, which sets those artists and nothing else, `caption(**state)`, one line of text, and
-    `alt(**state)`, what the picture shows in words.
+    A subclass defines
+    `build()`          its axes on `self.figure`; every artist that changes is given to `self.moves(...)`
+    `draw(**state)`    sets those artists to a state, and nothing else
+    `caption(**state)` one line that says what is to be seen
+    `alt(**state)`     the picture in words, for a reader who cannot see it
 
+    name : what it shows. size : inches, at 100 dots per inch.
     controls : dict name -> `Number` or `Switch`: keyword arguments of `draw` that a reader may change.
     """
 
     name = "picture"
+    size = (10.0, 5.0)
     controls: dict = {}
 
-    def __init__(self, size=SIZE):
-        self.figure = Figure(figsize=size, dpi=DPI)
-        self.canvas = FigureCanvasAgg(self.figure)
+    def __init__(self):
         self._moving = []
+        self._limits = {}
         self._background = None
+        with style.context():
+            self.figure = Figure(figsize=self.size, dpi=100, layout="none")
+            self.canvas = FigureCanvasAgg(self.figure)
+            self.build()
+
+    def build(self):
+        """Make the axes and the artists."""
+        raise NotImplementedError
 
     def moves(self, *artists):
         """Declare artists that `draw` changes; they are drawn in this order, on top of all that stands still.
@@ -106,22 +116,39 @@ class Picture:
         self.draw(**state)
         return Still(_png(self._pixels(), _SMALL), self.alt(**state))
 
+    def frame(self, axes, points, margin=0.08):
+        """Set equal axes to a square that holds the points, in round numbers, so that it rarely has to change.
+
+        points : (n, 2). Returns the side of the square.
+        """
+        low, high = np.min(points, axis=0), np.max(points, axis=0)
+        side = _round_up((1 + 2 * margin) * max(*(high - low), 1e-3))
+        centre = np.round((low + high) / 2 / (side / 10)) * (side / 10)
+        limits = (*(centre - side * 0.55), *(centre + side * 0.55))
+        if limits != self._limits.get(axes):
+            self._limits[axes] = limits
+            axes.set(xlim=limits[::2], ylim=limits[1::2])
+            self._background = None
+        return side
+
     def _pixels(self):
-        """(height, width, 3) uint8."""
+        """The drawn figure, an RGB `PIL.Image`."""
         if self._background is None:
             self._background = self._draw_background()
         self.canvas.restore_region(self._background)
         renderer = self.canvas.get_renderer()
         for artist in self._moving:
             artist.draw(renderer)
-        return np.asarray(self.canvas.buffer_rgba())[..., :3]
+        size = self.canvas.get_width_height(physical=True)
+        return Image.frombuffer("RGBA", size, self.canvas.buffer_rgba(), "raw", "RGBA", 0, 1).convert("RGB")
 
     def _draw_background(self):
         """All that stands still. The rest is hidden meanwhile, so that it leaves no ghost."""
         visible = [artist.get_visible() for artist in self._moving]
         for artist in self._moving:
             artist.set_visible(False)
-        self.canvas.draw()
+        with style.context():
+            self.canvas.draw()
         for artist, shown in zip(self._moving, visible):
             artist.set_visible(shown)
         return self.canvas.copy_from_bbox(self.figure.bbox)
@@ -137,11 +164,11 @@ class StepPicture(Picture):
     Raises ValueError for an empty history.
     """
 
-    def __init__(self, steps, size=SIZE):
-        super().__init__(size)
+    def __init__(self, steps):
         self.steps = tuple(steps)
         if not self.steps:
             raise ValueError("a picture of a filter's history needs at least one step")
+        super().__init__()
 
     @property
     def n(self) -> int:
@@ -165,7 +192,13 @@ class StepPicture(Picture):
         return f"frame {step.k}, {step.time:.1f} s, {'updated' if updated else 'predicted'}"
 
 
-def _png(pixels, level) -> bytes:
+def _round_up(length):
+    """The next of ..., 1, 2, 5, 10, 20, 50, ..."""
+    power = 10.0 ** np.floor(np.log10(length))
+    return power * next(m for m in (1, 2, 5, 10) if m * power >= length)
+
+
+def _png(image, level) -> bytes:
     file = io.BytesIO()
-    Image.fromarray(pixels).save(file, "png", compress_level=level)
+    image.save(file, "png", compress_level=level)
     return file.getvalue()
