@@ -1,0 +1,212 @@
+"""Every notebook in JupyterLab and a real browser: all cells run, sliders work, nothing leaves this machine.
+
+Needs Chromium (or Chrome; set CHROMIUM to its path if it is not found). Screenshots are left in screenshots/.
+"""
+
+import contextlib
+import json
+import os
+import shutil
+import socket
+import subprocess
+import sys
+import time
+import urllib.request
+from pathlib import Path
+
+import nbformat
+import pytest
+
+playwright_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+
+ROOT = Path(__file__).resolve().parents[2]
+NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
+SCREENSHOTS = ROOT / "screenshots"
+BROWSERS = ("chromium", "chromium-browser", "google-chrome", "chrome", "msedge")
+CHROMIUM = os.environ.get("CHROMIUM") or next(filter(None, map(shutil.which, BROWSERS)), None)
+SECOND = 1000  # ms, the unit of playwright's timeouts
+STEPS = 3
+
+pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium found; set CHROMIUM to its path")
+
+# The notebook's own indicator says idle before the kernel exists, and what is run then is lost.
+KERNEL_READY = """() => {
+    const session = window.jupyterapp?.shell?.currentWidget?.context?.sessionContext;
+    const kernel = session?.session?.kernel;
+    return session?.isReady && kernel?.connectionStatus === 'connected' && kernel.status === 'idle';
+}"""
+SHUT_KERNEL_DOWN = "() => window.jupyterapp?.shell?.currentWidget?.context?.sessionContext?.shutdown()"
+ALL_RAN_OR_ONE_FAILED = """() =>
+    document.querySelector('[data-mime-type="application/vnd.jupyter.error"]') !== null ||
+    [...document.querySelectorAll('.jp-CodeCell')].every(cell =>
+        cell.querySelector('.cm-content').textContent.trim() === '' ||
+        /^\\[\\d+\\]:$/.test(cell.querySelector('.jp-InputPrompt').textContent.trim()))"""
+PICTURE = """async image => {
+    const hash = await crypto.subtle.digest('SHA-256', await (await fetch(image.src)).arrayBuffer());
+    return String.fromCharCode(...new Uint8Array(hash));
+}"""
+SETTINGS = {
+    "apputils-extension/notification": {"fetchNews": "false", "checkForUpdates": False},
+    "docmanager-extension/plugin": {"autosave": False},
+    "notebook-extension/tracker": {"windowingMode": "none"},    # or cells out of view are not in the page
+}
+FOLDERS = {
+    "JUPYTER_CONFIG_DIR": "config",
+    "JUPYTER_DATA_DIR": "data",
+    "JUPYTER_RUNTIME_DIR": "runtime",
+    "JUPYTERLAB_SETTINGS_DIR": "settings",
+    "JUPYTERLAB_WORKSPACES_DIR": "workspaces",
+    "IPYTHONDIR": "ipython",
+}
+
+
+@pytest.fixture(scope="module")
+def lab(tmp_path_factory):
+    """Address of a JupyterLab with its own settings that serves copies of the notebooks without outputs."""
+    home = tmp_path_factory.mktemp("lab")
+    copy_notebooks(home / "notebooks")
+    for plugin, values in SETTINGS.items():
+        file = home / "settings" / "@jupyterlab" / f"{plugin}.jupyterlab-settings"
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_text(json.dumps(values))
+    environment = os.environ | {name: str(home / folder) for name, folder in FOLDERS.items()}
+    port = free_port()
+    command = [
+        sys.executable, "-m", "jupyterlab", "--no-browser", "--allow-root", "--ip=127.0.0.1",
+        f"--port={port}", "--ServerApp.port_retries=0", f"--ServerApp.root_dir={home / 'notebooks'}",
+        "--IdentityProvider.token=", "--LabApp.expose_app_in_browser=True",
+    ]
+    log = home / "lab.log"
+    with log.open("w") as out, subprocess.Popen(command, env=environment, stdout=out, stderr=out) as server:
+        try:
+            address = f"http://127.0.0.1:{port}"
+            wait_for(address, server, log)
+            yield address
+        finally:
+            server.terminate()
+
+
+def copy_notebooks(folder):
+    shutil.copytree(ROOT / "notebooks", folder, ignore=shutil.ignore_patterns(".*"))
+    for path in folder.glob("*.ipynb"):
+        notebook = nbformat.read(path, as_version=4)
+        for cell in notebook.cells:
+            if cell.cell_type == "code":
+                cell.outputs, cell.execution_count = [], None
+        nbformat.write(notebook, path)
+
+
+def free_port():
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]
+
+
+def wait_for(address, server, log, seconds=60):
+    deadline = time.monotonic() + seconds
+    while time.monotonic() < deadline and server.poll() is None:
+        with contextlib.suppress(OSError), urllib.request.urlopen(f"{address}/api/status", timeout=1):
+            return
+        time.sleep(0.1)
+    pytest.fail(f"JupyterLab did not start:\n{log.read_text()}")
+
+
+@pytest.fixture(scope="module")
+def chromium():
+    # No address but this machine's resolves, so nothing can be fetched unseen; root cannot use the sandbox.
+    options = ["--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1"]
+    if getattr(os, "geteuid", lambda: 1)() == 0:
+        options.append("--no-sandbox")
+    with playwright_api.sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=options)
+        yield browser
+        browser.close()
+
+
+@pytest.fixture
+def page(chromium, lab):
+    """A page that remembers in `complaints` what went wrong behind the scenes."""
+    context = chromium.new_context(viewport={"width": 1300, "height": 950})
+    page = context.new_page()
+    page.complaints = []
+    page.on("pageerror", lambda error: page.complaints.append(f"error in the page: {error}"))
+    page.on("console", lambda line: line.type == "error" and page.complaints.append(f"console: {line.text}"))
+    page.on("request", lambda request: request.url.startswith((lab, "data:", "blob:"))
+            or page.complaints.append(f"request: {request.url}"))
+    yield page
+    context.close()
+
+
+@pytest.mark.parametrize("notebook", NOTEBOOKS, ids=lambda path: path.stem)
+def test_notebook_in_the_browser(notebook, page, lab):
+    try:
+        open_notebook(page, f"{lab}/lab/tree/{notebook.name}?reset")
+        run_all(page)
+        assert failures(page) == []
+        slider = page.locator(".jp-OutputArea-output:has(img.widget-image) .widget-slider .noUi-handle").first
+        if slider.count():
+            step_by_keyboard(page, slider)
+            play(page, slider)
+        assert failures(page) == []
+        assert page.complaints == []
+    finally:
+        SCREENSHOTS.mkdir(exist_ok=True)
+        page.screenshot(path=SCREENSHOTS / f"{notebook.stem}.png")
+        page.evaluate(SHUT_KERNEL_DOWN)
+
+
+def open_notebook(page, address):
+    page.goto(address)
+    page.wait_for_selector(".jp-Notebook .jp-Cell", timeout=60 * SECOND)
+    page.wait_for_function(KERNEL_READY, timeout=30 * SECOND)
+
+
+def run_all(page):
+    page.get_by_role("menuitem", name="Run", exact=True).click()
+    page.get_by_role("menuitem", name="Run All Cells", exact=True).click()
+    page.wait_for_function(ALL_RAN_OR_ONE_FAILED, timeout=120 * SECOND)
+
+
+def failures(page):
+    """Texts of all outputs that a reader would take for a failure."""
+    kinds = ("error", "stderr")
+    shown = page.locator(", ".join(f'[data-mime-type="application/vnd.jupyter.{kind}"]' for kind in kinds))
+    return shown.all_text_contents() + page.get_by_text("Error displaying widget").all_text_contents()
+
+
+def output_of(slider):
+    return slider.locator("xpath=ancestor::*[contains(@class, 'jp-OutputArea-output')][1]")
+
+
+def step_by_keyboard(page, slider):
+    """A few steps forth show another picture, as many back the first one again."""
+    image = output_of(slider).locator("img.widget-image").first
+    image.scroll_into_view_if_needed()
+    playwright_api.expect(image).to_be_visible()
+    first = image.evaluate(PICTURE)
+    at_end = slider.get_attribute("aria-valuenow") == slider.get_attribute("aria-valuemax")
+    forth, back = ("ArrowLeft", "ArrowRight") if at_end else ("ArrowRight", "ArrowLeft")
+    slider.focus()
+    for _ in range(STEPS):
+        page.keyboard.press(forth)
+    wait_until(page, lambda: image.evaluate(PICTURE) != first, "the picture did not follow the slider")
+    for _ in range(STEPS):
+        page.keyboard.press(back)
+    wait_until(page, lambda: image.evaluate(PICTURE) == first, "going back did not restore the picture")
+
+
+def play(page, slider):
+    button = output_of(slider).locator(".widget-play button").first
+    if not button.count():
+        return
+    start = slider.get_attribute("aria-valuenow")
+    button.click()
+    wait_until(page, lambda: slider.get_attribute("aria-valuenow") != start, "Play did not move the slider")
+    button.click()
+
+
+def wait_until(page, condition, message, seconds=15):
+    deadline = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < deadline, message
+        page.wait_for_timeout(50)
