@@ -72,7 +72,8 @@ class Innovation:
     """What the cameras said in one frame against what the filter expected, for the landmarks it knew.
 
     ids : (n,) landmark ids. measured, predicted : (n, 4) px, [u_left, v_left, u_right, v_right].
-    covariance : (n, 4, 4) px^2, S of each measurement. nis : (n,), 4 degrees of freedom.
+    covariance : (n, 4, 4) px^2, S of each measurement. nis : (n,), 4 degrees of freedom, infinite for a
+    point that is not in front of the camera.
     accepted : (n,) bool, False where the gate (or a point behind the camera) kept a measurement out.
     """
 

@@ -77,7 +77,7 @@ def run(drive, noise, world_T_imu, initialise=triangulated, gate=0.99, min_dispa
         H = camera.landmark_jacobian(T, m[ids])
         S = kalman.innovation_covariance(P[ids], H, V)
         residual = pixels - predicted
-        nis = kalman.nis(residual, S)
+        nis = np.where(in_front, kalman.nis(residual, S), np.inf)
         accepted = in_front & (nis <= threshold)
         innovation = kalman.Innovation(ids, pixels, predicted, S, nis, accepted)
         good = ids[accepted]

@@ -71,6 +71,11 @@ class Transition:
     Q: np.ndarray
 
 
+def symmetric(matrix):
+    """(M + M^T) / 2: takes away what rounding has added to a matrix that is symmetric on paper."""
+    return (matrix + matrix.T) / 2
+
+
 def carry(belief, transition) -> Belief:
     """The belief after a transition: P' = F P F^T + N Q N^T.
 
@@ -87,13 +92,12 @@ def carry(belief, transition) -> Belief:
         P[:n, :n] += P[:n, n:] @ G.T
     P[:n, n:] = P[:n, n:] @ transition.F_tail.T
     P[n:, :n] = P[:n, n:].T
-    P[n:, n:] = transition.F_tail @ tail[:, n:] @ transition.F_tail.T
+    P[n:, n:] = symmetric(transition.F_tail @ tail[:, n:] @ transition.F_tail.T)
     if transition.N_landmarks is None:
-        P[n:, n:] += transition.N_tail @ transition.Q @ transition.N_tail.T
+        P[n:, n:] += symmetric(transition.N_tail @ transition.Q @ transition.N_tail.T)
     else:
         N = np.concatenate([transition.N_landmarks.reshape(n, -1), transition.N_tail])
-        NL = N @ np.linalg.cholesky(transition.Q)
-        P += NL @ NL.T
+        P += symmetric(N @ transition.Q @ N.T)
     return Belief(transition.world_T_imu, belief.landmarks, belief.ids, P, transition.motion)
 
 

@@ -81,7 +81,7 @@ def observe(prior, camera, noise, ids, pixels, landmarks, threshold):
     predicted, in_front = camera.observe(prior.world_T_imu, landmarks)
     H = camera.pose_jacobian(prior.world_T_imu, landmarks)
     S = kalman.innovation_covariance(prior.covariance, H, noise.pixel_covariance)
-    nis = kalman.nis(pixels - predicted, S)
+    nis = np.where(in_front, kalman.nis(pixels - predicted, S), np.inf)
     accepted = in_front & (nis <= threshold)
     innovation = kalman.Innovation(ids, pixels, predicted, S, nis, accepted)
     if not accepted.any():

@@ -6,10 +6,10 @@
 One frame: predict, drop the landmarks that are out of sight, update with those that are known, add the new ones.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.linalg import cholesky, solve_triangular
+from scipy.linalg import block_diag, cholesky, solve_triangular
 
 from . import kalman, motion
 from .error_state import RightPerturbation
@@ -88,7 +88,7 @@ def update(prior, ids, pixels, sensors):
     S[np.diag_indices(3 * m)] += np.tile(variance * ROW_VARIANCE, m)
 
     S_each = explained[:, FOUR_FROM_THREE][:, :, FOUR_FROM_THREE] + sensors.noise.pixel_covariance
-    nis = kalman.nis(residual, S_each)
+    nis = np.where(in_front, kalman.nis(residual, S_each), np.inf)
     accepted = in_front & (nis <= sensors.threshold)
     innovation = kalman.Innovation(ids, pixels, predicted, S_each, nis, accepted)
     if not accepted.any():
@@ -155,9 +155,10 @@ def add_correlated(belief, ids, pixels, sensors) -> Belief:
     points = points_cam @ imu_R_cam.T + camera.imu_T_cam[:3, 3]
     G, A = sensors.error_state.birth(belief.world_T_imu, points)
     G = G.reshape(-1, 6)
-    own = G @ belief.pose_covariance @ G.T
+    own = motion.symmetric(G @ belief.pose_covariance @ G.T)
     blocks, each = own.reshape(len(ids), 3, len(ids), 3), np.arange(len(ids))
-    blocks[each, :, each, :] += A @ C @ A.T
+    C = A @ C @ A.T
+    blocks[each, :, each, :] += (C + C.swapaxes(1, 2)) / 2
     landmarks = points @ belief.world_T_imu[:3, :3].T + belief.world_T_imu[:3, 3]
     return _insert(belief, ids, landmarks, G @ belief.covariance[belief.pose], own)
 
@@ -194,6 +195,20 @@ def as_report(prior, ids, pixels, sensors):
     prior = add_as_report(prior, ids[new], pixels[new], sensors)
     known = np.isin(ids, prior.ids, assume_unique=True)
     return prior, *update(prior, ids[known], pixels[known], sensors)
+
+
+def without_cross_covariance(measure):
+    """The same frame, after which landmarks and pose are taken for independent: what many first versions do.
+
+    measure : `correlated` or `as_report`. Returns a function to pass to `run`. It is wrong, and worth seeing.
+    """
+
+    def blind(prior, ids, pixels, sensors):
+        prior, posterior, innovation = measure(prior, ids, pixels, sensors)
+        blocks = [*posterior.landmark_covariance, posterior.covariance[posterior.pose.start:, posterior.pose.start:]]
+        return prior, replace(posterior, covariance=block_diag(*blocks)), innovation
+
+    return blind
 
 
 def out_of_sight(belief, ids):

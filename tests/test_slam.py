@@ -1,0 +1,182 @@
+"""The joint filter against a plain reference, against itself with nothing dropped, and under stress."""
+
+import numpy as np
+import pytest
+from vislam_edu import kalman, simulate, slam
+from vislam_edu.error_state import RightInvariant, RightPerturbation
+from vislam_edu.noise import Noise
+
+import reference
+
+NOISE = Noise()
+
+
+@pytest.fixture(scope="module")
+def small():
+    """60 frames, few landmarks in view, some of them outliers: small enough for the slow filters."""
+    return simulate.street_loop(seed=3, frames=60, visible=10, outlier_share=0.1)
+
+
+def world_blocks(step):
+    return {i: (m, P) for i, m, P in zip(step.posterior.ids, step.posterior.landmarks,
+                                         step.posterior.landmark_covariance)}
+
+
+@pytest.mark.parametrize("measure, as_report", [(slam.correlated, False), (slam.as_report, True)])
+def test_agrees_with_the_plain_reference_over_all_frames(small, measure, as_report):
+    gate = 0.99
+    plain = reference.run(small, NOISE, kalman.gate_threshold(gate), 1.0, as_report)
+    rejected = 0
+    for step, (T, P, landmarks, nis) in zip(slam.run(small, NOISE, measure=measure, gate=gate), plain, strict=True):
+        np.testing.assert_allclose(step.posterior.world_T_imu, T, atol=1e-8)
+        np.testing.assert_allclose(step.posterior.pose_covariance, P, atol=1e-10, rtol=1e-8)
+        np.testing.assert_allclose(step.innovation.nis, [nis[i] for i in step.innovation.ids], rtol=1e-6)
+        for i, (m, C) in world_blocks(step).items():
+            np.testing.assert_allclose(m, landmarks[i][0], atol=1e-8)
+            np.testing.assert_allclose(C, landmarks[i][1], atol=1e-8, rtol=1e-7)
+        rejected += (~step.innovation.accepted).sum()
+    assert rejected > 0, "the gate was never at work, so this says nothing about it"
+
+
+@pytest.mark.parametrize("error_state", [RightPerturbation(), RightInvariant()])
+@pytest.mark.parametrize("measure", [slam.correlated, slam.as_report])
+def test_window_equals_the_filter_that_keeps_everything(small, error_state, measure):
+    window = slam.run(small, NOISE, error_state, measure=measure)
+    dense = slam.run(small, NOISE, error_state, measure=measure, retire=slam.never)
+    retired = 0
+    for a, b in zip(window, dense, strict=True):
+        np.testing.assert_allclose(a.posterior.world_T_imu, b.posterior.world_T_imu, atol=1e-9)
+        rows = np.searchsorted(b.posterior.ids, a.posterior.ids)
+        index = np.concatenate([(3 * rows[:, None] + np.arange(3)).ravel(), np.arange(-6, 0)])
+        np.testing.assert_allclose(a.posterior.landmarks, b.posterior.landmarks[rows], atol=1e-9)
+        np.testing.assert_allclose(a.posterior.covariance, b.posterior.covariance[np.ix_(index, index)], atol=1e-9)
+        retired += len(a.retired)
+    assert retired > 20 and len(b.posterior.ids) > len(a.posterior.ids)
+
+
+@pytest.mark.parametrize("error_state", [RightPerturbation(), RightInvariant()])
+def test_covariance_stays_symmetric_positive_definite_on_a_long_drive(error_state):
+    drive = simulate.street_loop(seed=5, frames=1200, visible=25, outlier_share=0.05)
+    for step in slam.run(drive, NOISE, error_state):
+        if step.k % 20 == 0:
+            P = step.posterior.covariance
+            np.testing.assert_array_equal(P, P.T)
+            np.linalg.cholesky(P)
+
+
+def test_a_step_is_immutable_and_tells_who_came_and_went(small):
+    alive = set()
+    for step in slam.run(small, NOISE):
+        ids, _ = small.observed(step.k)
+        assert set(step.retired) == alive - set(ids)
+        assert set(step.born) == set(step.posterior.ids) - alive
+        assert set(step.innovation.ids) == alive & set(ids)
+        alive = set(step.posterior.ids)
+        assert alive <= set(ids)
+        with pytest.raises(ValueError):
+            step.posterior.covariance[0, 0] = 1.0
+        with pytest.raises(AttributeError):
+            step.k = 3
+
+
+def test_update_shrinks_and_prediction_grows(small):
+    steps = list(slam.run(small, NOISE))
+    for before, after in zip(steps, steps[1:]):
+        grown = after.prior.pose_covariance - NOISE_free(before, small)
+        assert np.linalg.eigvalsh(grown).min() > 0  # noise is added in every direction
+        known = np.isin(after.posterior.ids, after.prior.ids)
+        index = np.concatenate([np.flatnonzero(np.repeat(known, 3)), np.arange(-6, 0)])
+        shrunk = after.prior.covariance - after.posterior.covariance[np.ix_(index, index)]
+        assert np.linalg.eigvalsh(shrunk).min() > -1e-9
+
+
+def NOISE_free(step, drive):
+    """F Sigma F^T with F from expm: the pose covariance one frame later if the IMU were perfect."""
+    k = step.k
+    F = reference.expm(-drive.taus[k] * reference.curly(drive.step_twists[k]))
+    return F @ step.posterior.pose_covariance @ F.T
+
+
+def test_newborn_landmarks_are_correlated_with_the_pose_and_used_once(small):
+    step = next(slam.run(small, NOISE))
+    belief = step.posterior
+    assert len(step.innovation.ids) == 0 and len(belief.ids) > 5
+    cross = belief.covariance[:3 * len(belief.ids), belief.pose]
+    assert np.abs(cross).max() > 1e-4
+    report = next(slam.run(small, NOISE, measure=slam.as_report))
+    assert len(report.innovation.ids) == len(report.posterior.ids) == len(belief.ids)
+    assert not report.prior.covariance[:-6, -6:].any()
+
+
+def test_joint_filter_beats_dead_reckoning_tenfold_on_the_embedded_drive():
+    from vislam_edu import odometry, recordings
+
+    drive = recordings.load(recordings.find("street_loop.npz"))
+    truth = drive.true_world_T_imu[:, :3, 3]
+    estimate = np.array([s.posterior.world_T_imu[:3, 3] for s in slam.run(drive, NOISE)])
+    reckoned = odometry.dead_reckon(drive, NOISE).world_T_imu[:, :3, 3]
+
+    def rmse(p):
+        return np.sqrt(np.mean(np.sum((p - truth) ** 2, axis=1)))
+
+    assert rmse(estimate) < rmse(reckoned) / 10
+
+
+def test_cross_covariances_matter():
+    """What notebook 05's switch drops. Over seeds: without them the filter is far surer than it is right."""
+    def nees(measure, seed):
+        drive = simulate.street_loop(seed=seed, frames=80, visible=15)
+        values = []
+        for step in slam.run(drive, NOISE, measure=measure):
+            e = RightPerturbation().pose_difference(drive.true_world_T_imu[step.k], step.posterior.world_T_imu)
+            values.append(e @ np.linalg.solve(step.posterior.pose_covariance, e))
+        return np.mean(values)
+
+    blind = [nees(slam.without_cross_covariance(slam.correlated), s) for s in range(6)]
+    whole = [nees(slam.correlated, s) for s in range(6)]
+    assert np.mean(blind) > 2 * np.mean(whole)
+
+
+def test_without_cross_covariance_leaves_no_cross_covariance(small):
+    for step in slam.run(small.slice(0, 10), NOISE, measure=slam.without_cross_covariance(slam.correlated)):
+        P = step.posterior.covariance
+        n = len(step.posterior.ids)
+        blocks = P[:3 * n, :3 * n].reshape(n, 3, n, 3)
+        off = blocks.copy()
+        off[np.arange(n), :, np.arange(n), :] = 0
+        assert not off.any() and not P[:3 * n, 3 * n:].any()
+        np.linalg.cholesky(P)
+
+
+@pytest.mark.parametrize("bad", [dict(gate=0.0), dict(gate=1.5), dict(min_disparity=-1.0), dict(min_disparity=np.nan)])
+def test_bad_options_are_named(small, bad):
+    with pytest.raises(ValueError, match="gate|min_disparity"):
+        next(slam.run(small, NOISE, **bad))
+
+
+def test_a_drive_without_any_landmark_is_dead_reckoning(small):
+    from vislam_edu import odometry
+
+    blind = small.keep_observations(np.zeros(len(small.pixels), dtype=bool))
+    last = list(slam.run(blind, NOISE))[-1]
+    reckoned = odometry.dead_reckon(blind, NOISE)
+    np.testing.assert_allclose(last.posterior.world_T_imu, reckoned.world_T_imu[-1], atol=1e-12)
+    np.testing.assert_allclose(last.posterior.covariance, reckoned.covariance[-1], rtol=1e-9)
+
+
+def test_a_retraction_undoes_a_difference():
+    """Both error states: retract(estimate, true - estimate) is the truth, for large errors too."""
+    from vislam_edu import se3
+
+    rng = np.random.default_rng(0)
+    for error_state in (RightPerturbation(), RightInvariant()):
+        for size in (1e-3, 0.3, 1.5):
+            T, true_T = (se3.exp(rng.normal(size=6)) for _ in range(2))
+            true_T = se3.exp(size * rng.normal(size=6)) @ T
+            m = rng.normal(size=(5, 3)) * 10
+            true_m = m + size * rng.normal(size=(5, 3))
+            delta = np.concatenate([error_state.landmark_difference(true_T, T, true_m, m).ravel(),
+                                    error_state.pose_difference(true_T, T)])
+            got_T, got_m = error_state.retract(T, m, delta)
+            np.testing.assert_allclose(got_T, true_T, atol=1e-10)
+            np.testing.assert_allclose(got_m, true_m, atol=1e-10)
