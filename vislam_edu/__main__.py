@@ -1,0 +1,246 @@
+"""`python -m vislam_edu`: run a recording from the shell.
+
+Each subcommand is one entry of `COMMANDS`: a function that adds its arguments to a parser, and one that does
+the work and returns the exit status. What a subcommand needs is imported when it runs.
+"""
+
+import argparse
+import sys
+from pathlib import Path
+from typing import NoReturn
+
+from .drive import DriveError
+
+BAD_INPUT, INTERRUPTED = 2, 130
+
+
+class Parser(argparse.ArgumentParser):
+    """Says what is wrong in one line, as every other error here does."""
+
+    def error(self, message) -> NoReturn:
+        self.exit(BAD_INPUT, f"{self.prog}: {message} (--help explains)\n")
+
+
+# --- arguments --------------------------------------------------------------------------------------------
+
+
+def number(low, high=float("inf"), *, low_allowed=True):
+    """A check for argparse: a finite number from low to high."""
+
+    def check(text):
+        value = float(text)  # argparse turns the ValueError of a word into its own message
+        if not (low <= value <= high and value != float("inf")) or (value == low and not low_allowed):
+            above = "at least" if low_allowed else "above"
+            upto = "" if high == float("inf") else f" and at most {high:g}"
+            raise argparse.ArgumentTypeError(f"{text} is not a number {above} {low:g}{upto}")
+        return value
+
+    check.__name__ = "number"
+    return check
+
+
+def whole(low):
+    """A check for argparse: a whole number of at least low."""
+
+    def check(text):
+        value = int(text)
+        if value < low:
+            raise argparse.ArgumentTypeError(f"{text} is not a whole number of at least {low}")
+        return value
+
+    check.__name__ = "whole number"
+    return check
+
+
+def add_recording(parser):
+    parser.add_argument("recording", nargs="?", default="street_loop", metavar="RECORDING",
+                        help="npz or npy file of a drive, or the name of one in data/ (default: street_loop)")
+    parser.add_argument("--ground-truth", type=Path, metavar="FILE",
+                        help="true poses of the left camera: KITTI (12 numbers a row) or TUM "
+                             "(time x y z qx qy qz qw)")
+
+
+def read_recording(arguments):
+    """The drive that `add_recording` asked for."""
+    from . import recordings
+
+    path = Path(arguments.recording)
+    if not path.exists():
+        path = recordings.find(arguments.recording) or path
+    drive = recordings.load(path)
+    if arguments.ground_truth is not None:
+        drive = recordings.load_ground_truth(arguments.ground_truth, drive)
+    return drive
+
+
+# --- run --------------------------------------------------------------------------------------------------
+
+
+def add_run(parser):
+    add_recording(parser)
+    parser.add_argument("--out", type=Path, required=True, metavar="DIR",
+                        help="folder for figures, trajectories, result.npz and summary.json; made if missing")
+    noise = parser.add_argument_group("noise, one standard deviation per sample and axis")
+    noise.add_argument("--sigma-v", type=number(0), metavar="M/S", help="linear velocity (default: 0.5 m/s)")
+    noise.add_argument("--sigma-omega", type=number(0), metavar="RAD/S",
+                       help="angular velocity (default: 0.05 rad/s)")
+    noise.add_argument("--sigma-px", type=number(0, low_allowed=False), metavar="PX",
+                       help="each pixel coordinate (default: 0.7 px)")
+    noise.add_argument("--report-noise", action="store_true",
+                       help="the report's W and V where no other value is given (overconfident: try it)")
+    joint = parser.add_argument_group("the joint filter")
+    joint.add_argument("--error-state", choices=("right", "invariant"), default="right",
+                       help="what an error is: the report's right perturbation, or the right-invariant error, "
+                            "which does not believe it learned the heading (default: right)")
+    joint.add_argument("--initialisation", choices=("correlated", "as-report"), default="correlated",
+                       help="covariance of a new landmark: from its triangulation and the pose, or the "
+                            "report's 2 I without correlation (default: correlated)")
+    joint.add_argument("--gate", type=number(0, 1, low_allowed=False), default=0.99, metavar="P",
+                       help="probability that a good measurement is believed; 1: no gate (default: 0.99)")
+    joint.add_argument("--min-disparity", type=number(0), default=1.0, metavar="PX",
+                       help="below it a landmark waits for a better view (default: 1 px)")
+    joint.add_argument("--every", type=whole(1), default=1, metavar="N",
+                       help="use one landmark in N; the report needs 10, this filter does not (default: 1)")
+    parser.add_argument("--quiet", action="store_true", help="no progress bar and no summary on the terminal")
+
+
+def noise_from(arguments):
+    """Noise with the given values in place of the defaults, or of the report's."""
+    import dataclasses
+
+    from .noise import Noise
+
+    given = {key: getattr(arguments, key) for key in ("sigma_v", "sigma_omega", "sigma_px")}
+    given = {key: value for key, value in given.items() if value is not None}
+    return dataclasses.replace(Noise.from_report() if arguments.report_noise else Noise(), **given)
+
+
+def run(arguments):
+    from functools import partial
+
+    from numpy.linalg import LinAlgError
+    from tqdm import tqdm
+
+    from . import outputs, pipeline, slam
+    from .error_state import RightInvariant, RightPerturbation
+
+    drive = read_recording(arguments).thin(arguments.every)
+    invariant = arguments.error_state == "invariant"
+    method = "invariant" if invariant else "report" if arguments.report_noise else "slam"
+    with outputs.appearing_in(arguments.out) as folder:
+        try:
+            result = pipeline.run(
+                drive, noise_from(arguments), RightInvariant() if invariant else RightPerturbation(),
+                method=method,
+                measure=slam.correlated if arguments.initialisation == "correlated" else slam.as_report,
+                gate=arguments.gate, min_disparity=arguments.min_disparity,
+                progress=partial(tqdm, unit="frame", disable=arguments.quiet),
+            )
+        except LinAlgError as error:
+            raise DriveError(f"{arguments.recording}: the filter broke down ({error}); a covariance is no longer "
+                             "positive definite: give the sensors more noise, or look at the recording") from None
+        numbers = outputs.write(result, folder)
+    if not arguments.quiet:
+        print(outputs.table(numbers))
+        print(f"written to {arguments.out}")
+    return 0
+
+
+# --- info -------------------------------------------------------------------------------------------------
+
+
+def info(arguments):
+    from . import outputs
+
+    print(outputs.description(read_recording(arguments)))
+    return 0
+
+
+# --- simulate ---------------------------------------------------------------------------------------------
+
+
+def add_simulate(parser):
+    parser.add_argument("--out", type=Path, required=True, metavar="FILE", help="npz file to write")
+    parser.add_argument("--seed", type=whole(0), default=0, metavar="N",
+                        help="of everything random (default: 0)")
+    parser.add_argument("--frames", type=whole(2), default=500, metavar="N", help="at 10 Hz (default: 500)")
+    parser.add_argument("--sigma-v", type=number(0), default=0.5, metavar="M/S", help="default: 0.5")
+    parser.add_argument("--sigma-omega", type=number(0), default=0.05, metavar="RAD/S", help="default: 0.05")
+    parser.add_argument("--sigma-px", type=number(0), default=0.7, metavar="PX", help="default: 0.7")
+    parser.add_argument("--gyro-bias", type=float, nargs=3, default=(0.0, 0.0, 0.0), metavar=("X", "Y", "Z"),
+                        help="rad/s, constant (default: none)")
+    parser.add_argument("--outlier-share", type=number(0, 1), default=0.0, metavar="SHARE",
+                        help="of the tracks, wrong on purpose (default: 0)")
+
+
+def simulate(arguments):
+    from . import recordings
+    from .simulate import street_loop
+
+    names = ("seed", "frames", "sigma_v", "sigma_omega", "sigma_px", "gyro_bias", "outlier_share")
+    try:
+        drive = street_loop(**{name: getattr(arguments, name) for name in names})
+    except ValueError as error:
+        raise DriveError(f"simulate: {error}") from None
+    if arguments.out.suffix != ".npz":
+        raise DriveError(f"{arguments.out}: expected a name that ends in .npz")
+    arguments.out.parent.mkdir(parents=True, exist_ok=True)
+    recordings.save(drive, arguments.out)
+    print(f"{drive.n_frames} frames, {drive.n_landmarks} landmarks written to {arguments.out}")
+    return 0
+
+
+# --- the table --------------------------------------------------------------------------------------------
+
+COMMANDS = {
+    "run": (add_run, run, "the report's pipeline over a recording: figures, trajectories, numbers"),
+    "info": (add_recording, info, "what is in a recording"),
+    "simulate": (add_simulate, simulate, "make a recording with ground truth: a street loop"),
+}
+# Commands with a parser of their own get all that follows their name: module of this package, one line of help.
+FORWARDED = {
+    "notebooks": ("execute", "run the notebooks and store their outputs"),
+}
+
+
+def parser():
+    top = Parser(prog="python -m vislam_edu",
+                 description="Visual-inertial SLAM with an extended Kalman filter.",
+                 epilog="Exit status: 0 done, 2 bad input (one line on stderr says what), 130 interrupted.")
+    commands = top.add_subparsers(dest="command", required=True, metavar="COMMAND", parser_class=Parser)
+    for name, (add_arguments, work, text) in COMMANDS.items():
+        command = commands.add_parser(name, help=text, description=text[0].upper() + text[1:] + ".")
+        add_arguments(command)
+        command.set_defaults(work=work)
+    for name, (_, text) in FORWARDED.items():
+        commands.add_parser(name, help=text, add_help=False)
+    return top
+
+
+def dispatch(argv):
+    """Parse and do; returns the exit status, errors come out as exceptions."""
+    if argv and argv[0] in FORWARDED:
+        from importlib import import_module
+
+        return import_module(f".{FORWARDED[argv[0]][0]}", __package__).main(argv[1:])
+    arguments = parser().parse_args(argv)
+    return arguments.work(arguments)
+
+
+def main(argv=None) -> int:
+    """The command line. Returns the exit status; bad input is one line on stderr, never a traceback."""
+    try:
+        return dispatch(sys.argv[1:] if argv is None else list(argv))
+    except DriveError as error:
+        message = str(error)
+    except OSError as error:
+        message = f"{error.filename2 or error.filename or 'output'}: {error.strerror or error}"
+    except KeyboardInterrupt:
+        print("interrupted; nothing was written", file=sys.stderr)
+        return INTERRUPTED
+    print("vislam_edu: " + " ".join(message.split()), file=sys.stderr)
+    return BAD_INPUT
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
