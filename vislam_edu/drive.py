@@ -189,6 +189,10 @@ class Drive:
         """A validated copy with these fields changed."""
         return dataclasses.replace(self, **fields)
 
+    def apply(self, cure) -> Drive:
+        """The drive after a cure (`cures`), a function from a drive to a drive with a `name`; the history says so."""
+        return cure(self).replace(history=(*self.history, cure.name))
+
     def slice(self, start, stop=None) -> Drive:
         """Frames start to stop (excluded), counted as Python does; landmarks never seen there are dropped."""
         start, stop, _ = slice(start, stop).indices(self.n_frames)
