@@ -11,7 +11,7 @@ from PIL import Image
 
 from .. import style
 
-_FAST, _SMALL = 1, 9  # zlib levels: for a picture that lives for one frame, and for one that is stored
+_FAST, _SMALL = 1, 6  # zlib levels: for a picture that lives for one frame, and for one that is stored
 
 
 @dataclass(frozen=True)
@@ -193,9 +193,9 @@ class StepPicture(Picture):
 
 
 def _round_up(length):
-    """The next of ..., 1, 2, 5, 10, 20, 50, ..."""
+    """The next of ..., 1, 1.5, 2, 3, 5, 7, 10, ..."""
     power = 10.0 ** np.floor(np.log10(length))
-    return power * next(m for m in (1, 2, 5, 10) if m * power >= length)
+    return power * next(m for m in (1, 1.5, 2, 3, 5, 7, 10) if m * power >= length)
 
 
 def _png(image, level) -> bytes:
