@@ -36,8 +36,10 @@ KERNEL_READY = """() => {
     return session?.isReady && kernel?.connectionStatus === 'connected' && kernel.status === 'idle';
 }"""
 SHUT_KERNEL_DOWN = "() => window.jupyterapp?.shell?.currentWidget?.context?.sessionContext?.shutdown()"
-ALL_RAN_OR_ONE_FAILED = """() =>
-    document.querySelector('[data-mime-type="application/vnd.jupyter.error"]') !== null ||
+# JupyterLab shows an exception's traceback as stderr.
+FAILED_OUTPUT = '[data-mime-type$="jupyter.stderr"], [data-mime-type$="jupyter.error"]'
+ALL_RAN_OR_ONE_FAILED = """failed =>
+    document.querySelector(failed) !== null ||
     [...document.querySelectorAll('.jp-CodeCell')].every(cell =>
         cell.querySelector('.cm-content').textContent.trim() === '' ||
         /^\\[\\d+\\]:$/.test(cell.querySelector('.jp-InputPrompt').textContent.trim()))"""
@@ -164,14 +166,13 @@ def open_notebook(page, address):
 def run_all(page):
     page.get_by_role("menuitem", name="Run", exact=True).click()
     page.get_by_role("menuitem", name="Run All Cells", exact=True).click()
-    page.wait_for_function(ALL_RAN_OR_ONE_FAILED, timeout=120 * SECOND)
+    page.wait_for_function(ALL_RAN_OR_ONE_FAILED, arg=FAILED_OUTPUT, timeout=120 * SECOND)
 
 
 def failures(page):
     """Texts of all outputs that a reader would take for a failure."""
-    kinds = ("error", "stderr")
-    shown = page.locator(", ".join(f'[data-mime-type="application/vnd.jupyter.{kind}"]' for kind in kinds))
-    return shown.all_text_contents() + page.get_by_text("Error displaying widget").all_text_contents()
+    broken = page.get_by_text("Error displaying widget")
+    return page.locator(FAILED_OUTPUT).all_text_contents() + broken.all_text_contents()
 
 
 def output_of(slider):
