@@ -38,9 +38,17 @@ class Sensors:
     min_disparity: float
 
 
-def _reduce(pixels):
+def reduce_rows(pixels):
     """(n, 4) stereo measurements to the (n, 3) numbers that carry information."""
     return np.stack([pixels[:, 0], (pixels[:, 1] + pixels[:, 3]) / 2, pixels[:, 2]], axis=-1)
+
+
+def contains(sorted_ids, ids):
+    """(len(ids),) bool: which of `ids` are among `sorted_ids`, both ascending."""
+    if len(sorted_ids) == 0:
+        return np.zeros(len(ids), dtype=bool)
+    place = np.minimum(np.searchsorted(sorted_ids, ids), len(sorted_ids) - 1)
+    return sorted_ids[place] == ids
 
 
 def linearise(belief, rows, sensors):
@@ -60,8 +68,13 @@ def times_H(A, rows, H_landmark, H_pose, n):
 
     n : landmarks in the state. Returns (3 len(rows), c).
     """
-    blocks = A[:3 * n].reshape(n, 3, -1)[rows]
-    return (H_landmark @ blocks).reshape(3 * len(rows), -1) + H_pose.reshape(-1, 6) @ A[3 * n:3 * n + 6]
+    blocks = A[:3 * n].reshape(n, 3, -1)
+    if len(rows) < n:  # the usual case, everything in the window is seen, needs no copy
+        blocks = blocks[rows]
+    # einsum, not @: a stack of 3 x 3 products is over before a BLAS call has begun (ten times slower, measured)
+    HA = np.einsum("iab,ibc->iac", H_landmark, blocks).reshape(3 * len(rows), -1)
+    HA += H_pose.reshape(-1, 6) @ A[3 * n:3 * n + 6]
+    return HA
 
 
 def update(prior, ids, pixels, sensors):
@@ -82,7 +95,7 @@ def update(prior, ids, pixels, sensors):
     variance = sensors.noise.sigma_px**2
 
     HP = times_H(prior.covariance, rows, H_l, H_p, n)
-    S = times_H(HP.T, rows, H_l, H_p, n)
+    S = times_H(np.ascontiguousarray(HP.T), rows, H_l, H_p, n)
     each = np.arange(m)
     explained = S.reshape(m, 3, m, 3)[each, :, each, :]
     S[np.diag_indices(3 * m)] += np.tile(variance * ROW_VARIANCE, m)
@@ -93,12 +106,14 @@ def update(prior, ids, pixels, sensors):
     innovation = kalman.Innovation(ids, pixels, predicted, S_each, nis, accepted)
     if not accepted.any():
         return prior, innovation
-    if not accepted.all():
-        keep = np.repeat(accepted, 3)
-        HP, S = HP[keep], S[np.ix_(keep, keep)]
+    reduced = reduce_rows(residual).ravel()
+    if not accepted.all():  # a measurement kept out is one that depends on nothing: H = 0, whatever its noise
+        out = np.flatnonzero(np.repeat(~accepted, 3))
+        HP[out], S[out], S[:, out], S[out, out], reduced[out] = 0, 0, 0, 1, 0
 
     L = cholesky(S, lower=True, overwrite_a=True, check_finite=False)
-    right = np.column_stack([HP, _reduce(residual)[accepted].ravel()])
+    right = np.empty((len(HP), HP.shape[1] + 1), order="F")  # the order LAPACK works in, so that it need not copy
+    right[:, :-1], right[:, -1] = HP, reduced
     Y = solve_triangular(L, right, lower=True, overwrite_b=True, check_finite=False)
     Y, y = Y[:, :-1], Y[:, -1]
     return retract(prior, Y.T @ y, prior.covariance - Y.T @ Y, sensors.error_state), innovation
@@ -181,9 +196,11 @@ def correlated(prior, ids, pixels, sensors):
 
     Returns (prior, posterior, Innovation): the prior comes back unchanged.
     """
-    known = np.isin(ids, prior.ids, assume_unique=True)
+    known = contains(prior.ids, ids)
     posterior, innovation = update(prior, ids[known], pixels[known], sensors)
-    return prior, add_correlated(posterior, ids[~known], pixels[~known], sensors), innovation
+    if not known.all():
+        posterior = add_correlated(posterior, ids[~known], pixels[~known], sensors)
+    return prior, posterior, innovation
 
 
 def as_report(prior, ids, pixels, sensors):
@@ -191,9 +208,9 @@ def as_report(prior, ids, pixels, sensors):
 
     Returns (prior with the new landmarks in it, posterior, Innovation).
     """
-    new = ~np.isin(ids, prior.ids, assume_unique=True)
+    new = ~contains(prior.ids, ids)
     prior = add_as_report(prior, ids[new], pixels[new], sensors)
-    known = np.isin(ids, prior.ids, assume_unique=True)
+    known = contains(prior.ids, ids)
     return prior, *update(prior, ids[known], pixels[known], sensors)
 
 
@@ -213,7 +230,7 @@ def without_cross_covariance(measure):
 
 def out_of_sight(belief, ids):
     """Retire what this frame does not see: tracks never return, so it can never be measured again."""
-    return np.isin(belief.ids, ids, assume_unique=True)
+    return contains(ids, belief.ids)
 
 
 def never(belief, ids):
@@ -222,13 +239,14 @@ def never(belief, ids):
 
 
 def run(drive, noise, error_state=None, *, measure=correlated, retire=out_of_sight, gate=0.99, min_disparity=1.0,
-        world_T_imu=None):
+        world_T_imu=None, after=None):
     """The joint filter over a drive: yields one `Step` per frame, its beliefs `Belief`s.
 
     drive : Drive. noise : Noise. error_state : `RightPerturbation()` (the report's, the default) or another.
     measure : what a frame does, `correlated` or `as_report`. retire : which landmarks leave the state,
     `out_of_sight` or `never`. gate : probability that a good measurement passes, 1 for no gate.
     min_disparity : px, below it a landmark waits. world_T_imu : (4, 4) pose at frame 0, the identity by default.
+    after : a Step of an earlier run with the same arguments, to go on from; none: from the beginning.
     Raises ValueError for a gate outside (0, 1] or a negative disparity.
     Source: report section 3.3.2.
     """
@@ -237,11 +255,11 @@ def run(drive, noise, error_state=None, *, measure=correlated, retire=out_of_sig
     error_state = error_state or RightPerturbation()
     sensors = Sensors(drive.camera, noise, error_state, kalman.gate_threshold(gate), min_disparity)
     model = motion.ImuDriven(drive, noise, error_state)
-    posterior = None
-    for k in range(drive.n_frames):
+    posterior = after and after.posterior
+    for k in range(after.k + 1 if after else 0, drive.n_frames):
         before = motion.start(noise, world_T_imu) if posterior is None else model.predict(posterior, k - 1)
         ids, pixels = drive.observed(k)
         keep = retire(before, ids)
         prior, posterior, innovation = measure(select(before, keep), ids, pixels, sensors)
-        born = np.setdiff1d(posterior.ids, before.ids, assume_unique=True)
+        born = posterior.ids[~contains(before.ids, posterior.ids)]
         yield kalman.Step(k, drive.times[k], prior, posterior, innovation, born, before.ids[~keep])

@@ -1,0 +1,191 @@
+"""What the rest of the drive still says about the landmarks that were passed long ago.
+
+The window drops a landmark when it is out of sight; the filter that never drops anything goes on correcting it through
+its correlation with the pose. Both agree on the pose. This pass gives the landmarks back, without the big covariance:
+it walks the drive backwards and carries, instead of a state, the adjoint of the state,
+
+    lambda (d,)  and  Lambda (d, d),   so that   x_N = x + P lambda   and   P_N = P - P Lambda P
+
+tell what the filter would say at the end (N) about any x that it believed with covariance P here. Both start as zero.
+Each thing that the filter did on the way forward is undone by its transpose:
+
+    update        lambda <- lambda + H^T w,   w = S^-1 r - K^T lambda
+                  Lambda <- (I - K H)^T Lambda (I - K H) + H^T S^-1 H
+    birth         lambda <- A^T lambda        Lambda <- A^T Lambda A,   A = [I; G]
+    retirement    a row of zeros: the future does not look at what is gone
+    prediction    lambda <- F^T lambda        Lambda <- F^T Lambda F
+
+A landmark stands still, so at its retirement x_N is its final estimate: a fixed-point smoother.
+Source: Bierman, Fixed interval smoothing with discrete measurements, 1973 (the modified Bryson-Frazier form).
+"""
+
+from dataclasses import dataclass
+from math import isqrt
+
+import numpy as np
+from scipy.linalg import cholesky, solve_triangular
+
+from . import motion, se3, slam
+from .error_state import RightPerturbation
+
+
+@dataclass(frozen=True, eq=False)
+class FinalMap:
+    """What the whole drive says about every landmark.
+
+    landmarks : (M, 3), m, world. covariance : (M, 3, 3), m^2, in the world frame. used : (M,) bool, which rows hold
+    an estimate; the others (never born) are zero.
+    """
+
+    landmarks: np.ndarray
+    covariance: np.ndarray
+    used: np.ndarray
+
+
+def _indices(rows):
+    """Rows of the state of the landmarks at `rows` of the window."""
+    return (3 * rows[:, None] + np.arange(3)).ravel()
+
+
+def _times_HT(X, rows, H_l, H_p, d):
+    """H^T X for X (3m, c), without writing H. Returns (d, c)."""
+    out = np.zeros((d, X.shape[1]))
+    out[_indices(rows)] = np.einsum("iab,iac->ibc", H_l, X.reshape(len(rows), 3, -1)).reshape(3 * len(rows), -1)
+    n = d - H_p.shape[-1]
+    out[n:] = H_p.reshape(3 * len(rows), -1).T @ X
+    return out
+
+
+def _undo_update(lam, Lam, step, sensors):
+    """Back through the update of one frame. lam (d, 1), Lam (d, d), over the landmarks of the prior."""
+    prior, ids = step.prior, step.innovation.ids[step.innovation.accepted]
+    if len(ids) == 0:
+        return lam, Lam
+    rows, n, d = np.searchsorted(prior.ids, ids), len(prior.ids), len(lam)
+    _, _, H_l, H_p = slam.linearise(prior, rows, sensors)
+    HP = slam.times_H(prior.covariance, rows, H_l, H_p, n)
+    S = slam.times_H(np.ascontiguousarray(HP.T), rows, H_l, H_p, n)
+    S[np.diag_indices(len(S))] += np.tile(sensors.noise.sigma_px**2 * slam.ROW_VARIANCE, len(ids))
+    L = cholesky(S, lower=True, check_finite=False)
+    residual = slam.reduce_rows(step.innovation.residual[step.innovation.accepted]).reshape(-1, 1)
+
+    def solve(b, trans="N"):
+        return solve_triangular(L, b, lower=True, trans=trans, check_finite=False)
+
+    Y = solve(HP)  # K = Y^T L^-1
+    w = solve(solve(residual) - Y @ lam, "T")
+    Z = Y @ Lam
+    M = solve(Z, "T")  # K^T Lambda
+    inner = solve(solve(Z @ Y.T + np.eye(len(L)), "T").T, "T")  # K^T Lambda K + S^-1, symmetric
+    # (I - K H)^T Lambda (I - K H) + H^T S^-1 H, H on one side at a time
+    X = _times_HT(inner, rows, H_l, H_p, d)
+    HtM = _times_HT(M, rows, H_l, H_p, d)
+    Lam = Lam - HtM - HtM.T + _times_HT(X.T, rows, H_l, H_p, d)
+    return lam + _times_HT(w, rows, H_l, H_p, d), motion.symmetric(Lam)
+
+
+def _undo_birth(lam, Lam, step, sensors):
+    """Back to before the landmarks that `slam.add_correlated` added: A = [I; G], G on the pose alone."""
+    belief = step.posterior
+    is_new = ~slam.contains(step.prior.ids, belief.ids)
+    if not is_new.any():
+        return lam, Lam
+    new = _indices(np.flatnonzero(is_new))
+    old = np.setdiff1d(np.arange(len(lam)), new)
+    points = se3.transform(se3.inverse(belief.world_T_imu), belief.landmarks[is_new])
+    G, _ = sensors.error_state.birth(belief.world_T_imu, points)
+    A = np.zeros((len(new), len(old)))
+    A[:, -6:] = G.reshape(-1, 6)
+    cross = Lam[np.ix_(old, new)] @ A
+    return (lam[old] + A.T @ lam[new],
+            motion.symmetric(Lam[np.ix_(old, old)] + cross + cross.T + A.T @ Lam[np.ix_(new, new)] @ A))
+
+
+def _undo_prediction(lam, Lam, n, transition):
+    """F^T lambda and F^T Lambda F; of F only the columns of the pose differ from the identity."""
+    F = transition.F_tail
+    lam, Lam = lam.copy(), Lam.copy()
+    lam[n:] = F.T @ lam[n:]
+    Lam[:, n:] = Lam[:, n:] @ F
+    Lam[n:] = F.T @ Lam[n:]
+    return lam, Lam
+
+
+def _settle(final, before, retired, keep, lam, Lam, error_state):
+    """Write down the final estimate of the retired landmarks of the belief `before` they left."""
+    rows = np.flatnonzero(~keep)
+    kept = np.concatenate([_indices(np.flatnonzero(keep)), np.arange(3 * len(keep), len(before.covariance))])
+    P = before.covariance
+    to_all = P[_indices(rows)]  # (3r, d), covariance of each retired landmark with everything
+    own = P[np.ix_(_indices(rows), _indices(rows))]
+    C = error_state.world_landmark(before.landmarks[rows])
+    if C is not None:  # the error in metres is the landmark's plus C times the pose's
+        C = C.reshape(-1, 6)
+        cross = to_all[:, before.pose] @ C.T
+        own = own + cross + cross.T + C @ before.pose_covariance @ C.T
+        to_all = to_all + C @ P[before.pose]
+    future = to_all[:, kept]
+    r = len(rows)
+    each = np.arange(r)
+    final.landmarks[retired] = before.landmarks[rows] + (future @ lam).reshape(r, 3)
+    final.covariance[retired] = (own - future @ Lam @ future.T).reshape(r, 3, r, 3)[each, :, each, :]
+    final.used[retired] = True
+
+
+def final_map(drive, noise, error_state=None, progress=lambda frames: frames, **options) -> FinalMap:
+    """Every landmark as the filter that never retires one would know it at the end of the drive.
+
+    drive, noise, error_state, options : as for `slam.run`, which is run twice: once forward for beliefs to start from
+    every sqrt(T) frames, and once more piece by piece while walking back. So memory is that of a few dozen Steps,
+    however long the drive.
+    progress : wraps the frame numbers of the backward walk, for instance `tqdm.auto.tqdm`.
+
+    For `RightPerturbation` the result is that filter's, to rounding. For `RightInvariant` it is to first order: there
+    a correction turns all landmarks about the origin, which is not a sum.
+    """
+    error_state = error_state or RightPerturbation()
+    T = drive.n_frames
+    piece = max(1, isqrt(T))
+    checkpoints, last = {-1: None}, None
+    for last in slam.run(drive, noise, error_state, **options):
+        if (last.k + 1) % piece == 0:
+            checkpoints[last.k] = last
+    model = motion.ImuDriven(drive, noise, error_state)
+    sensors = slam.Sensors(drive.camera, noise, error_state, np.inf, 0.0)
+
+    M = drive.n_landmarks
+    final = FinalMap(np.zeros((M, 3)), np.zeros((M, 3, 3)), np.zeros(M, dtype=bool))
+    d = len(last.posterior.covariance)
+    lam, Lam = np.zeros((d, 1)), np.zeros((d, d))
+    everyone = np.zeros(len(last.posterior.ids), dtype=bool)
+    _settle(final, last.posterior, last.posterior.ids, everyone, lam[-6:], Lam[-6:, -6:], error_state)
+
+    for k in progress(range(T - 1, 0, -1)):
+        if k == T - 1 or (k + 1) % piece == 0:
+            first = checkpoints[(k // piece) * piece - 1]
+            start = -1 if first is None else first.k
+            steps = {start: first}
+            for step in slam.run(drive, noise, error_state, after=first, **options):
+                steps[step.k] = step
+                if step.k == k:
+                    break
+        step = steps.pop(k)
+        lam, Lam = _undo_birth(lam, Lam, step, sensors)
+        lam, Lam = _undo_update(lam, Lam, step, sensors)
+        earlier = steps.get(k - 1) or checkpoints[k - 1]
+        transition = model.transition(earlier.posterior, k - 1)
+        before = motion.carry(earlier.posterior, transition)
+        # Landmarks born before the update (the report's way) had no past; those that retired had no future.
+        keep = slam.contains(step.prior.ids, before.ids)
+        n = len(before.ids)
+        there = np.concatenate([_indices(np.flatnonzero(slam.contains(before.ids, step.prior.ids))),
+                                np.arange(3 * len(step.prior.ids), len(lam))])
+        lam, Lam = lam[there], Lam[np.ix_(there, there)]
+        if not keep.all():
+            _settle(final, before, before.ids[~keep], keep, lam, Lam, error_state)
+            wide = np.concatenate([_indices(np.flatnonzero(keep)), np.arange(3 * n, len(before.covariance))])
+            narrow = (lam, Lam)
+            lam, Lam = np.zeros((len(before.covariance), 1)), np.zeros(before.covariance.shape)
+            lam[wide], Lam[np.ix_(wide, wide)] = narrow
+        lam, Lam = _undo_prediction(lam, Lam, 3 * n, transition)
+    return final
