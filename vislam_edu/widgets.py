@@ -117,7 +117,8 @@ def _control(control):
     if isinstance(control, Switch):
         return ipywidgets.Checkbox(control.value, description=control.label, indent=False)
     if isinstance(control, Number):
-        return ipywidgets.FloatSlider(control.value, min=control.low, max=control.high, step=control.step,
+        slider = ipywidgets.IntSlider if isinstance(control.step, int) else ipywidgets.FloatSlider
+        return slider(control.value, min=control.low, max=control.high, step=control.step,
                                       description=control.label, style={"description_width": "90px"},
                                       layout=ipywidgets.Layout(width="320px"))
     raise TypeError(f"a control is a Number or a Switch, got {control!r}")

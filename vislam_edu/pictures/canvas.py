@@ -16,7 +16,10 @@ _FAST, _SMALL = 1, 6  # zlib levels: for a picture that lives for one frame, and
 
 @dataclass(frozen=True)
 class Number:
-    """A control that holds a number: its label (with unit), where it starts, and its range."""
+    """A control that holds a number: its label (with unit), where it starts, and its range.
+
+    Whole numbers when `step` is an int.
+    """
 
     label: str
     value: float
@@ -116,20 +119,16 @@ class Picture:
         self.draw(**state)
         return Still(_png(self._pixels(), _SMALL), self.alt(**state))
 
-    def frame(self, axes, points, margin=0.08):
-        """Set equal axes to a square that holds the points, in round numbers, so that it rarely has to change.
+    def frame(self, axes, centre, half):
+        """Set equal axes to the square of half side `half` around `centre` (2,).
 
-        points : (n, 2). Returns the side of the square.
+        What stands still has to be drawn again when this changes, so it should change rarely.
         """
-        low, high = np.min(points, axis=0), np.max(points, axis=0)
-        side = _round_up((1 + 2 * margin) * max(*(high - low), 1e-3))
-        centre = np.round((low + high) / 2 / (side / 10)) * (side / 10)
-        limits = (*(centre - side * 0.55), *(centre + side * 0.55))
+        limits = (*(centre - half), *(centre + half))
         if limits != self._limits.get(axes):
             self._limits[axes] = limits
             axes.set(xlim=limits[::2], ylim=limits[1::2])
             self._background = None
-        return side
 
     def _pixels(self):
         """The drawn figure, an RGB `PIL.Image`."""
@@ -190,12 +189,6 @@ class StepPicture(Picture):
         """Frame, time and phase of half-step i, as a caption begins."""
         step, updated = self.step(i)
         return f"frame {step.k}, {step.time:.1f} s, {'updated' if updated else 'predicted'}"
-
-
-def _round_up(length):
-    """The next of ..., 1, 1.5, 2, 3, 5, 7, 10, ..."""
-    power = 10.0 ** np.floor(np.log10(length))
-    return power * next(m for m in (1, 1.5, 2, 3, 5, 7, 10) if m * power >= length)
 
 
 def _png(image, level) -> bytes:

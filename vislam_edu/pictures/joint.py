@@ -75,7 +75,7 @@ class JointPicture(StepPicture):
     """
 
     name = "joint filter"
-    size = (10.0, 5.8)
+    size = (10.0, 5.6)
 
     def __init__(self, steps, drive, noise, error_state=None, without=None):
         self.drive, self.error_state = drive, error_state or RightPerturbation()
@@ -124,7 +124,6 @@ class JointPicture(StepPicture):
         (leaves,) = self.matrix.plot([], [], lw=4, color=COLOURS["rejected"], label="retired next")
         legend(self.matrix, [self.pose_lines, born, leaves], columns=1, loc="upper left", bbox_to_anchor=(1.03, 1),
                frameon=False)
-        self.count = self.moves(self.figure.text(0.325, 0.31, "", fontsize=9, linespacing=1.4, va="bottom"))
 
     def _build_time(self):
         times = np.repeat([step.time for step in self.steps], 2)
@@ -179,12 +178,15 @@ class JointPicture(StepPicture):
         rows = np.flatnonzero(born | leaving)
         self.marks.set_segments([[(-1.5, 3 * row + 0.3), (-1.5, 3 * row + 2.7)] for row in rows])
         self.marks.set_color([COLOURS["rejected" if leaving[row] else "accepted"] for row in rows])
-        self.count.set_text(f"{len(belief.ids)} landmarks and\nthe pose: {size} × {size}")
 
     def caption(self, i, drop=False):
         """What the frame did to the joint belief."""
         step = self.histories[drop].steps[i // 2]
-        tail = " Cross-covariances are dropped after every frame." if drop else ""
+        belief, _ = self._state(i, self.histories[drop])
+        size = len(belief.covariance)
+        tail = f" State: {len(belief.ids)} landmarks and the pose, {size} × {size}."
+        if drop:
+            tail += " Cross-covariances are dropped after every frame."
         if i % 2 == 0:
             return f"{self.when(i)}: the pose is less certain. Retired: {_listed(step.retired)}.{tail}"
         used = int(step.innovation.accepted.sum())

@@ -11,6 +11,7 @@ from .canvas import StepPicture
 from .panels import ImagePanel, MapPanel, TimePanel, add_axes, legend, nis_band, phase_colour
 
 WEDGE = 60  # a heading is known to a fraction of a degree: drawn true, the wedge would be a line
+TWO_SIDED = norm.ppf(0.975)  # 1.96
 NEAR = 30.0  # cm, half the side of the magnified view
 
 
@@ -89,7 +90,6 @@ class LocalisationPicture(StepPicture):
         if self.drive.true_world_T_imu is not None:
             handles.append(self.truth)
         legend(self.near, handles, columns=1, loc="upper left", bbox_to_anchor=(1.04, 1.02), frameon=False)
-        self.numbers = self.moves(self.figure.text(0.285, 0.09, "", fontsize=9, linespacing=1.4, va="bottom"))
 
     def _build_time(self):
         times = np.repeat([step.time for step in self.steps], 2)
@@ -141,19 +141,20 @@ class LocalisationPicture(StepPicture):
         truth = self.drive.true_world_T_imu
         if truth is not None:
             self.truth.set_data(*(100 * (prior_T_world @ truth[step.k])[:2, 3:]))
-        forward, left = 1.96 * np.sqrt(np.diag(covariance))
-        degrees = np.rad2deg(heading_half_width(belief))
-        self.numbers.set_text(f"95 % of each alone\nforward ± {forward:.1f} cm\nleft ± {left:.1f} cm\n"
-                              f"heading ± {degrees:.2f}°")
 
     def caption(self, i):
         """What the frame did to the pose."""
         step, updated = self.step(i)
+        belief = self.belief(i)
+        forward, left = 100 * TWO_SIDED * np.sqrt(np.diag(belief.covariance)[:2])
+        known = (f" 95 % of each alone: forward ± {forward:.1f} cm, left ± {left:.1f} cm, "
+                 f"heading ± {np.rad2deg(heading_half_width(belief)):.2f}°.")
         if not updated:
-            return f"{self.when(i)}: the ellipse has swollen by one step of the IMU's noise."
+            grown = "the start" if i == 0 else "the ellipse has swollen by one step of the IMU's noise"
+            return f"{self.when(i)}: {grown}.{known}"
         innovation = step.innovation
         return (f"{self.when(i)}: {int(innovation.accepted.sum())} of {len(innovation.ids)} landmarks pull the pose, "
-                f"the ellipse shrinks.")
+                f"the ellipse shrinks.{known}")
 
     def alt(self, i):
         """The picture in words."""
@@ -164,7 +165,7 @@ class LocalisationPicture(StepPicture):
 
 def heading_half_width(belief):
     """Half the 95 % interval of the heading, rad: 1.96 sigma of the rotation about the body's z axis."""
-    return norm.ppf(0.975) * np.sqrt(belief.covariance[5, 5])
+    return TWO_SIDED * np.sqrt(belief.covariance[5, 5])
 
 
 def _wedge(at, heading, half_width, radius=0.8 * NEAR):

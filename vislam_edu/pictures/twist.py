@@ -107,6 +107,12 @@ def banana(belief):
     return (belief.world_T_imu @ se3.exp(epsilon))[:, :2, 3]
 
 
+def round_up(length):
+    """The next of ..., 1, 1.5, 2, 3, 5, 7, 10, ..."""
+    power = 10.0 ** np.floor(np.log10(length))
+    return power * next(m for m in (1, 1.5, 2, 3, 5, 7, 10) if m * power >= length)
+
+
 class Outcome:
     """A twist integrated: by Euler's method, with noise, and as a Gaussian.
 
@@ -121,6 +127,11 @@ class Outcome:
         self.euler = euler(self.twist, self.duration, steps)
         noise = PlanarNoise(SIGMA_V, sigma_omega)
         self.ends = integrate_noisy(self.twist, noise, normal[:samples])[:, :2, 3]
+        # However it bends, an arc of length L stays between -0.22 L and L ahead and within 0.73 L to the sides, so the
+        # view need not move when omega does.
+        speed = np.linalg.norm(self.twist[:3])
+        self.reach = round_up(1.05 * max(speed * self.duration, 4 * SIGMA_V * self.duration))
+        self.centre = 0.4 * self.reach * self.twist[:3] / max(speed, 1e-9)
         belief = propagate(self.twist, noise, samples)
         self.banana, self.plane = banana(belief), plane_ellipse(belief)
 
@@ -166,7 +177,7 @@ class TwistPicture(Picture):
         (self.euler,) = self.space.plot([], [], "o--", lw=1.4, ms=3.5, color=COLOURS["measured"], label="Euler")
         self.ground, self.shadow, self.axis, self.triads = self.moves(*lines.values())
         self.moves(self.path, self.euler)
-        self.grid = self.moves(self.figure.text(0.02, 0.02, "", fontsize=9, color="0.35"))
+        self.grid = self.figure.text(0.02, 0.02, "", fontsize=9, color="0.35")  # changes only when the frame does
         legend(self.space, [self.path, self.euler, self.axis, self.shadow], loc="lower left", bbox_to_anchor=(0, 1),
                frameon=False, borderaxespad=0)
         self.space.set_title(self.space.get_title("left"), fontsize=10, loc="left", pad=19)
@@ -194,14 +205,14 @@ class TwistPicture(Picture):
         return self._last
 
     def _show(self, outcome):
-        self._draw_space(outcome.twist, outcome.duration, outcome.euler)
+        self._draw_space(outcome, outcome.twist, outcome.duration, outcome.euler)
         self._draw_above(outcome)
 
-    def _draw_space(self, twist, duration, approximate):
+    def _draw_space(self, outcome, twist, duration, approximate):
         poses = se3.exp(np.linspace(0, duration, 80)[:, None] * twist)
         points, shadow = poses[:, :3, 3], poses[:, :3, 3] * [1, 1, 0]
-        seen = np.concatenate([points, shadow, approximate[:, :3, 3]]) @ VIEW.T
-        side = self.frame(self.space, seen)
+        side = 1.6 * outcome.reach
+        self.frame(self.space, VIEW @ outcome.centre, side / 2)
         self.path.set_data(*(points @ VIEW.T).T)
         self.euler.set_data(*(approximate[:, :3, 3] @ VIEW.T).T)
         self.shadow.set_segments([shadow @ VIEW.T])
@@ -213,12 +224,12 @@ class TwistPicture(Picture):
         axis = screw_axis(twist)
         self.axis.set_segments([] if axis is None else [(axis[1] + reach * axis[0]) @ VIEW.T
                                                         for reach in 4 * side * np.array([[[-1], [1]]])])
-        self._draw_ground(side, points)
+        self._draw_ground(outcome)
 
-    def _draw_ground(self, side, points):
-        cell = side / 5
-        low = (np.floor(points[:, :2].min(axis=0) / cell) - 2) * cell
-        high = (np.ceil(points[:, :2].max(axis=0) / cell) + 2) * cell
+    def _draw_ground(self, outcome):
+        cell = outcome.reach / 5
+        middle = np.round(outcome.centre[:2] / cell) * cell
+        low, high = middle - 5 * cell, middle + 5 * cell
         xs, ys = (np.arange(a, b + cell / 2, cell) for a, b in zip(low, high))
         lines = ([[(x, low[1], 0), (x, high[1], 0)] for x in xs] + [[(low[0], y, 0), (high[0], y, 0)] for y in ys])
         self.ground.set_segments(np.array(lines) @ VIEW.T)
@@ -230,7 +241,7 @@ class TwistPicture(Picture):
         self.cloud.set_data(*outcome.ends.T)
         path = se3.exp(np.linspace(0, outcome.duration, 60)[:, None] * outcome.twist)[:, :2, 3]
         self.mean_path.set_data(*path.T)
-        self.frame(self.above, np.concatenate([path, outcome.banana, outcome.plane, outcome.ends]))
+        self.frame(self.above, outcome.centre[:2], 0.85 * outcome.reach)
 
     def caption(self, **state):
         """How far Euler is off, and how much of the cloud each outline holds."""
