@@ -181,15 +181,14 @@ def summary(studies) -> dict:
 
     nees_pose, nees_rotation, nees_position   6, 3 and 3 are right
     nees_pose_standard_error                  of nees_pose, from the scatter of the N means over a run
-    frames_in_band                            share of frames at which the mean over runs of the pose's NEES
-                                              lies in band_99
+    frames_in_band                            share of frames whose mean over runs lies in band_99
     nis                                       of one stereo measurement, 4 is right
     rmse_m, rmse_world_m                      RMS of `Study.error` and `Study.error_world`
 
-    and for all of them runs, frames, band_99 (pose) and band_99_3_dof (rotation or position): where 99 % of the
-    means over N runs lie at any one frame if the filter is honest, chi-square with 6 N and 3 N degrees of
-    freedom. The mean over the frames as well is held against the same band. That would be exact if errors were
-    constant along a drive; they change, so an honest filter lies in it more often than 99 % of the time.
+    and for all of them runs, frames, band_99 (pose) and band_99_3_dof (rotation or position): where 99 % of
+    the means over N runs lie at any one frame if the filter is honest, chi-square with 6 N and 3 N degrees of
+    freedom. The mean over the frames as well is held against the same band. That would be exact if errors
+    were constant along a drive; they change, so an honest filter lies in it more often than 99 % of the time.
     Source of the band: Bar-Shalom, Li, Kirubarajan, Estimation with Applications to Tracking and Navigation,
     section 5.4.2.
     """
