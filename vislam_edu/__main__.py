@@ -5,6 +5,7 @@ the work and returns the exit status. What a subcommand needs is imported when i
 """
 
 import argparse
+import math
 import sys
 from pathlib import Path
 from typing import NoReturn
@@ -24,14 +25,16 @@ class Parser(argparse.ArgumentParser):
 # --- arguments --------------------------------------------------------------------------------------------
 
 
-def number(low, high=float("inf"), *, low_allowed=True):
+def number(low=-math.inf, high=math.inf, *, low_allowed=True):
     """A check for argparse: a finite number from low to high."""
 
     def check(text):
         value = float(text)  # argparse turns the ValueError of a word into its own message
-        if not (low <= value <= high and value != float("inf")) or (value == low and not low_allowed):
+        if not math.isfinite(value):
+            raise argparse.ArgumentTypeError(f"{text} is not a finite number")
+        if not low <= value <= high or (value == low and not low_allowed):
             above = "at least" if low_allowed else "above"
-            upto = "" if high == float("inf") else f" and at most {high:g}"
+            upto = "" if math.isinf(high) else f" and at most {high:g}"
             raise argparse.ArgumentTypeError(f"{text} is not a number {above} {low:g}{upto}")
         return value
 
@@ -90,8 +93,8 @@ def add_run(parser):
                        help="the report's W and V where no other value is given (overconfident: try it)")
     joint = parser.add_argument_group("the joint filter")
     joint.add_argument("--error-state", choices=("right", "invariant"), default="right",
-                       help="what an error is: the report's right perturbation, or the right-invariant error, "
-                            "which does not believe it learned the heading (default: right)")
+                       help="what an error is: the report's right perturbation, or the right-invariant "
+                            "error, which does not believe it learned the heading (default: right)")
     joint.add_argument("--initialisation", choices=("correlated", "as-report"), default="correlated",
                        help="covariance of a new landmark: from its triangulation and the pose, or the "
                             "report's 2 I without correlation (default: correlated)")
@@ -137,8 +140,8 @@ def run(arguments):
                 progress=partial(tqdm, unit="frame", disable=arguments.quiet),
             )
         except LinAlgError as error:
-            raise DriveError(f"{arguments.recording}: the filter broke down ({error}); a covariance is no longer "
-                             "positive definite: give the sensors more noise, or look at the recording") from None
+            raise DriveError(f"{arguments.recording}: the filter broke down ({error}), a covariance is no "
+                             "longer positive definite: give the sensors more noise") from None
         numbers = outputs.write(result, folder)
     if not arguments.quiet:
         print(outputs.table(numbers))
@@ -167,7 +170,8 @@ def add_simulate(parser):
     parser.add_argument("--sigma-v", type=number(0), default=0.5, metavar="M/S", help="default: 0.5")
     parser.add_argument("--sigma-omega", type=number(0), default=0.05, metavar="RAD/S", help="default: 0.05")
     parser.add_argument("--sigma-px", type=number(0), default=0.7, metavar="PX", help="default: 0.7")
-    parser.add_argument("--gyro-bias", type=float, nargs=3, default=(0.0, 0.0, 0.0), metavar=("X", "Y", "Z"),
+    parser.add_argument("--gyro-bias", type=number(), nargs=3, default=(0.0, 0.0, 0.0),
+                        metavar=("X", "Y", "Z"),
                         help="rad/s, constant (default: none)")
     parser.add_argument("--outlier-share", type=number(0, 1), default=0.0, metavar="SHARE",
                         help="of the tracks, wrong on purpose (default: 0)")
@@ -197,7 +201,7 @@ COMMANDS = {
     "info": (add_recording, info, "what is in a recording"),
     "simulate": (add_simulate, simulate, "make a recording with ground truth: a street loop"),
 }
-# Commands with a parser of their own get all that follows their name: module of this package, one line of help.
+# Commands with a parser of their own get all that follows their name: module of this package, help.
 FORWARDED = {
     "notebooks": ("execute", "run the notebooks and store their outputs"),
 }

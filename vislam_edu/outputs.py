@@ -73,8 +73,10 @@ def _short(value):
 def write(result, folder):
     """Write all that `python -m vislam_edu run` promises into an empty folder. Returns the summary.
 
-    summary.json (null for NaN); kitti/trajectory.txt and tum/trajectory.txt, camera poses (KITTI's convention); result.npz,
-    the arrays; fig1_... to fig7_... .png.
+    summary.json, null for NaN. kitti/trajectory.txt and tum/trajectory.txt, poses of the left camera in the
+    frame of the first one (KITTI's convention). result.npz: poses of the IMU, covariances of right
+    perturbations [position m, rotation rad], and the landmarks (m, world) that the filter used, with ids and
+    covariances. fig1_... to fig7_... .png.
     """
     folder, drive, slam = Path(folder), result.drive, result.slam
     numbers = summary(result)

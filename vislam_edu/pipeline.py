@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from . import kalman, mapping, odometry, slam
+from . import kalman, mapping, motion, odometry, slam
 from .drive import Drive
 from .error_state import RightPerturbation
 from .mapping import MapBelief
@@ -93,7 +93,7 @@ def run(drive, noise, error_state=None, *, method="slam", measure=slam.correlate
     poses = dead_reckoning.world_T_imu
     initial = first_sight(drive, noise, poses, min_disparity)
     steps = mapping.run(drive, noise, poses, mapping.as_report, gate=1, min_disparity=min_disparity)
-    mapped = _collect_mapping(progress(steps, total=drive.n_frames, desc="mapping"))
+    mapped = collect_mapping(progress(steps, total=drive.n_frames, desc="mapping"))
     error_state = error_state or RightPerturbation()
     steps = slam.run(drive, noise, error_state, measure=measure, gate=gate, min_disparity=min_disparity)
     steps = progress(steps, total=drive.n_frames, desc="SLAM")
@@ -121,13 +121,13 @@ def first_sight(drive, noise, world_T_imu, min_disparity=1.0) -> MapBelief:
     return MapBelief(landmarks, covariance, seen)
 
 
-def _collect_mapping(steps):
+def collect_mapping(steps):
     threshold = kalman.gate_threshold(0.99)
     measurements = contradicting = 0
     for step in steps:
         measurements += len(step.innovation.ids)
-        contradicting += np.count_nonzero(~(step.innovation.nis <= threshold))
-    return Mapped(step.posterior, measurements, int(contradicting))
+        contradicting += int(np.count_nonzero(~(step.innovation.nis <= threshold)))
+    return Mapped(step.posterior, measurements, contradicting)
 
 
 def collect_slam(drive, steps, error_state, method="slam") -> Slam:
@@ -146,7 +146,8 @@ def collect_slam(drive, steps, error_state, method="slam") -> Slam:
         landmarks[ids], seen[ids] = belief.landmarks[rows], True
         spread[ids] = world_landmark_covariance(belief, error_state)[rows]
 
-    begin, last = time.perf_counter(), None
+    begin = time.perf_counter()
+    last = motion.start(Noise())  # nobody retires before frame 0
     for step in steps:
         if len(step.retired):
             keep(last, step.retired)
@@ -154,11 +155,11 @@ def collect_slam(drive, steps, error_state, method="slam") -> Slam:
         poses[step.k] = last.world_T_imu
         covariance[step.k] = right_pose_covariance(last, error_state)
         measurements += len(step.innovation.ids)
-        rejected += np.count_nonzero(~step.innovation.accepted)
+        rejected += int(np.count_nonzero(~step.innovation.accepted))
     keep(last, last.ids)
     seconds = time.perf_counter() - begin
     return Slam(Trajectory(drive.times, poses, covariance), MapBelief(landmarks, spread, seen),
-                measurements, int(rejected), seconds, method)
+                measurements, rejected, seconds, method)
 
 
 def world_landmark_covariance(belief, error_state):

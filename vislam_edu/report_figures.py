@@ -17,9 +17,9 @@ def initial_trajectory(result):
     estimate = result.dead_reckoning
     driven = np.linalg.norm(np.diff(estimate.world_T_imu[:, :3, 3], axis=0), axis=-1).sum()
     title = f"Dead reckoning over {driven:.0f} m in {result.drive.duration:.0f} s"
-    claim = f"its last position to within {_final_claim(estimate):.1f} m (95 %)"
     error = _final_error(result, estimate)
-    title += f" claims {claim}" if error is None else f" ends {error:.1f} m from the truth and claims {claim}"
+    title += "" if error is None else f" ends {error:.1f} m from the truth and"
+    title += f" claims an error below {_final_claim(estimate):.1f} m (95 %)"
     return plots.trajectories(result.drive, {"dead_reckoning": estimate}, title)
 
 
@@ -63,7 +63,7 @@ def both_trajectories(result):
         title = f"SLAM ends {np.linalg.norm(apart):.1f} m from where dead reckoning does"
     else:
         title = f"SLAM ends {after:.1f} m from the truth, dead reckoning {before:.1f} m"
-    title += f"; SLAM claims it to within {_final_claim(result.slam.trajectory):.1f} m (95 %)"
+    title += f"; SLAM claims an error below {_final_claim(result.slam.trajectory):.1f} m (95 %)"
     return plots.trajectories(result.drive, estimates, title)
 
 

@@ -5,6 +5,7 @@ colour-blind readers, and every method has a line style of its own.
 """
 
 import sys
+from typing import Any
 
 import numpy as np
 from matplotlib import rc_context, rcParams
@@ -13,11 +14,11 @@ from scipy.stats import chi2
 COLOURS = {
     # who says it: trajectories and maps
     "truth": "#000000",
-    "dead_reckoning": "#DDAA33",
+    "dead_reckoning": "#E0B040",
     "mapping": "#117733",
     "localize": "#882255",
-    "report": "#43A2B5",
-    "slam": "#BB5566",
+    "report": "#409DB0",
+    "slam": "#B5485E",
     "invariant": "#004488",
     "smoother": "#7A5FB0",
     # what it is: pixels, innovations, verdicts
@@ -69,7 +70,7 @@ LABELS = {
     "smoother": "smoother",
 }
 
-_RC = {
+_RC: dict[Any, Any] = {
     "figure.dpi": 100,
     "savefig.dpi": 100,
     "figure.figsize": (7.5, 4.5),
@@ -94,7 +95,8 @@ _RC = {
     "image.cmap": "cividis",
 }
 
-PNG = {"metadata": {"Software": None}}  # for savefig: without it, files differ between versions of matplotlib
+# For savefig: the name of matplotlib's version would make files differ that show the same.
+PNG: dict[str, Any] = {"metadata": {"Software": None}}
 
 
 def use():

@@ -1,0 +1,360 @@
+"""The pictures: their artists hold what was measured, and nothing is drawn where it cannot be read."""
+
+import base64
+import itertools
+
+import numpy as np
+import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.collections import LineCollection
+from matplotlib.colors import to_rgb
+
+from vislam_edu import odometry, pipeline, plots, report_figures, se3, slam, style
+from vislam_edu.error_state import RightInvariant, RightPerturbation
+from vislam_edu.motion import Belief
+from vislam_edu.noise import Noise
+from vislam_edu.odometry import Trajectory
+from vislam_edu.simulate import street_loop
+
+NOISE = Noise()
+
+
+@pytest.fixture(scope="module")
+def drive():
+    return street_loop(seed=3, frames=120, visible=25)
+
+
+@pytest.fixture(scope="module")
+def result(drive):
+    return pipeline.run(drive, NOISE)
+
+
+def lines(axes):
+    return {line.get_label(): line for line in axes.get_lines() if not line.get_label().startswith("_")}
+
+
+def labelled(axes, start):
+    found = [line for label, line in lines(axes).items() if label.startswith(start)]
+    assert len(found) == 1, f"{start!r} in {list(lines(axes))}"
+    return np.column_stack(found[0].get_data())
+
+
+def outlines(axes):
+    return [c for c in axes.collections if isinstance(c, LineCollection)]
+
+
+# --- style ------------------------------------------------------------------------------------------------
+
+
+def test_ellipse_holds_the_share_of_samples_that_it_promises():
+    covariance = np.array([[4.0, 1.5], [1.5, 1.0]])
+    mean = np.array([10.0, -3.0])
+    samples = np.random.default_rng(0).multivariate_normal(mean, covariance, 200_000)
+    for probability in (0.5, 0.95):
+        ellipse = style.ellipse_points(mean, covariance, probability) - mean
+        d2 = np.einsum("ni,ij,nj->n", ellipse, np.linalg.inv(covariance), ellipse)
+        np.testing.assert_allclose(d2, d2[0], rtol=1e-9)  # one level of the density
+        inside = np.einsum("ni,ij,nj->n", samples - mean, np.linalg.inv(covariance), samples - mean) <= d2[0]
+        # 200 000 samples: five standard deviations of the share
+        assert abs(inside.mean() - probability) < 5 * np.sqrt(probability * (1 - probability) / 200_000)
+
+
+def test_ellipse_broadcasts_closes_and_takes_a_singular_covariance():
+    means = np.arange(6.0).reshape(3, 2)
+    covariances = np.array([np.eye(2), np.diag([4.0, 0.0]), np.zeros((2, 2))])
+    points = style.ellipse_points(means, covariances, n=33)
+    assert points.shape == (3, 33, 2)
+    np.testing.assert_allclose(points[:, 0], points[:, -1], atol=1e-12)
+    np.testing.assert_allclose(points[1, :, 1], means[1, 1], atol=1e-12)
+    np.testing.assert_array_equal(points[2], np.broadcast_to(means[2], (33, 2)))
+
+
+@pytest.mark.parametrize("probability", [0, 1, 95, float("nan")])
+def test_ellipse_refuses_what_is_no_probability(probability):
+    with pytest.raises(ValueError, match=r"probability must lie in \(0, 1\)"):
+        style.ellipse_points(np.zeros(2), np.eye(2), probability)
+
+
+def lightness(colour, seen_as=None):
+    """CIE L* (0 to 100) of a colour, after the matrix of a colour blindness on linear RGB."""
+    rgb = np.array(to_rgb(colour))
+    linear = np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
+    linear = linear if seen_as is None else np.clip(seen_as @ linear, 0, 1)
+    Y = linear @ [0.2126, 0.7152, 0.0722]
+    return 116 * np.cbrt(Y) - 16 if Y > 0.008856 else 903.3 * Y
+
+
+# Machado, Oliveira, Fernandes, A physiologically-based model for simulation of color vision deficiency (2009)
+DEUTERANOPIA = np.array([[0.367322, 0.860646, -0.227968], [0.280085, 0.672501, 0.047413],
+                         [-0.011820, 0.042940, 0.968881]])
+PROTANOPIA = np.array([[0.152286, 1.052583, -0.204868], [0.114503, 0.786281, 0.099216],
+                       [-0.003882, -0.048116, 1.051998]])
+
+
+@pytest.mark.parametrize("seen_as", [None, DEUTERANOPIA, PROTANOPIA],
+                         ids=["grey", "deuteranopia", "protanopia"])
+def test_methods_that_share_a_map_differ_in_lightness(seen_as):
+    methods = ["truth", "invariant", "slam", "report", "dead_reckoning"]
+    for a, b in itertools.combinations(methods, 2):
+        apart = abs(lightness(style.COLOURS[a], seen_as) - lightness(style.COLOURS[b], seen_as))
+        assert apart > 8, f"{a} and {b} are {apart:.1f} apart"
+
+
+def test_every_label_has_a_colour_and_lines_differ():
+    assert style.LABELS.keys() <= style.COLOURS.keys()
+    assert style.LABELS.keys() <= style.LINESTYLES.keys()
+    assert len({style.COLOURS[m] for m in style.LABELS}) == len(style.LABELS)
+
+
+@pytest.mark.filterwarnings("ignore:InlineBackend:DeprecationWarning")  # matplotlib_inline's own
+def test_in_a_notebook_stored_pictures_carry_no_version(monkeypatch):
+    from IPython.core.interactiveshell import InteractiveShell
+    from matplotlib_inline.config import InlineBackend
+
+    shell = InteractiveShell()
+    monkeypatch.setattr(style, "_ipython", lambda: shell)
+    InlineBackend.clear_instance()
+    try:
+        style.use()
+        kwargs = InlineBackend.instance().print_figure_kwargs
+        assert kwargs == {"metadata": {"Software": None}, "bbox_inches": "tight"}
+        figure, _ = plots.new_figure()
+        png = shell.display_formatter.format(figure)[0]["image/png"]
+        assert b"Software" not in base64.b64decode(png)
+    finally:
+        InlineBackend.clear_instance()
+
+
+# --- geometry ---------------------------------------------------------------------------------------------
+
+
+def turned(angle, tilt=0.0):
+    return se3.exp(np.array([0, 0, 0, 0, 0, angle])) @ se3.exp(np.array([0, 0, 0, 0, tilt, 0]))
+
+
+@pytest.mark.parametrize("angle", [-3.0, -0.4, 0.0, 2.9])
+def test_heading_and_its_error(angle):
+    T = turned(angle, tilt=0.2)
+    np.testing.assert_allclose(plots.heading(T), angle, atol=1e-12)
+    # over the seam at 180 degrees too
+    np.testing.assert_allclose(plots.heading_error(T, turned(0.5) @ T), 0.5, atol=1e-12)
+
+
+def test_covariances_in_the_world_are_those_of_sampled_poses():
+    rng = np.random.default_rng(1)
+    T = se3.exp(np.array([5.0, 2, 1, 0.3, -0.2, 1.0]))
+    A = 1e-3 * rng.normal(size=(6, 6))
+    trajectory = Trajectory(np.zeros(1), T[None], (A @ A.T)[None])
+    samples = T @ se3.exp(rng.multivariate_normal(np.zeros(6), A @ A.T, 40_000))
+    np.testing.assert_allclose(plots.position_covariance(trajectory)[0], np.cov(samples[:, :3, 3].T),
+                               rtol=0.1, atol=0.03 * np.trace(A @ A.T))
+    rotation = se3.so3_log(samples[:, :3, :3] @ T[:3, :3].T)
+    np.testing.assert_allclose(plots.heading_sigma(trajectory)[0], rotation[:, 2].std(), rtol=0.03)
+
+
+def test_view_holds_the_path_and_ignores_rows_without_a_position():
+    path = np.array([[0.0, 0, 9], [100, 50, 9], [np.nan, np.nan, np.nan]])
+    x0, x1, y0, y1 = plots.view_around(path, margin=10.0)
+    assert (x0, x1, y0, y1) == (-10, 110, -10, 60)
+    assert plots.inside((x0, x1, y0, y1), np.array([[0.0, 0], [110, 60], [111, 0], [0, -11]])).tolist() == [
+        True, True, False, False]
+
+
+@pytest.mark.parametrize("path", [np.array([[0.0, 0], [1000, 0]]), np.array([[0.0, 0], [0, 1000]]),
+                                  np.zeros((1, 2)), np.full((2, 2), np.nan)])
+def test_map_of_any_shape_is_a_readable_page_with_equal_scales(path):
+    figure, axes = plots.new_map(plots.view_around(path))
+    plots.finish(figure, "title")
+    width, height = axes.get_position().size * figure.get_size_inches()
+    assert 2.9 < height < 7.1
+    assert axes.get_aspect() == 1
+    (x0, x1), (y0, y1) = axes.get_xlim(), axes.get_ylim()
+    assert (x1 - x0) / width == pytest.approx((y1 - y0) / height)  # the axes are filled, so limits stay
+
+
+def test_filter_that_knows_nothing_does_not_shrink_the_map():
+    path = np.array([[0.0, 0], [100, 0]])
+    huge = style.ellipse_points(np.zeros((1, 2)), 1e8 * np.eye(2)[None])
+    x0, x1, _, _ = plots.view_with_outlines([path], [huge])
+    assert x0 > -100
+    assert x1 < 200
+
+
+# --- pipeline ---------------------------------------------------------------------------------------------
+
+
+def test_first_sight_is_the_triangulation_of_the_first_good_view(drive):
+    poses = drive.true_world_T_imu
+    belief = pipeline.first_sight(drive, NOISE, poses, min_disparity=8.0)
+    expected = np.full((drive.n_landmarks, 3), np.nan)
+    for k in reversed(range(drive.n_frames)):
+        ids, pixels = drive.observed(k)
+        points, ok = drive.camera.triangulate(pixels, 8.0)
+        expected[ids[ok]] = drive.camera.to_world(poses[k], points[ok])
+    seen = np.isfinite(expected[:, 0])
+    assert 0 < seen.sum() < drive.n_landmarks
+    np.testing.assert_array_equal(belief.seen, seen)
+    np.testing.assert_allclose(belief.landmarks[seen], expected[seen], atol=1e-9)
+
+
+def test_first_sight_claims_what_it_is_wrong_by():
+    drive = street_loop(seed=4, frames=300)
+    belief = pipeline.first_sight(drive, NOISE, drive.true_world_T_imu)
+    first = drive.true_world_T_imu[drive.first_seen]
+    near = drive.camera.to_cam(first, drive.true_landmarks)[:, 2] < 15  # m: the covariance is of first order
+    error = (drive.true_landmarks - belief.landmarks)[near]
+    nees = np.einsum("ni,nij,nj->n", error, np.linalg.inv(belief.covariance[near]), error)
+    assert len(nees) > 50
+    assert nees.mean() == pytest.approx(3, abs=4 * np.sqrt(6 / len(nees)))
+
+
+@pytest.mark.parametrize("error_state", [RightPerturbation(), RightInvariant()], ids=lambda e: e.name)
+def test_listening_keeps_what_the_steps_said(drive, error_state):
+    steps = list(slam.run(drive, NOISE, error_state))
+    told = pipeline.collect_slam(drive, iter(steps), error_state)
+    np.testing.assert_array_equal(told.trajectory.world_T_imu, [s.posterior.world_T_imu for s in steps])
+    last = {}
+    for step in steps:
+        last |= {i: (step.posterior, row) for row, i in enumerate(step.posterior.ids)}
+    np.testing.assert_array_equal(np.flatnonzero(told.map.seen), sorted(last))
+    for i, (belief, row) in last.items():
+        np.testing.assert_array_equal(told.map.landmarks[i], belief.landmarks[row])
+        np.testing.assert_allclose(told.map.covariance[i],
+                                   pipeline.world_landmark_covariance(belief, error_state)[row])
+    assert told.measurements == sum(len(s.innovation.ids) for s in steps)
+    assert told.rejected == sum((~s.innovation.accepted).sum() for s in steps)
+
+
+@pytest.mark.parametrize("error_state", [RightPerturbation(), RightInvariant()], ids=lambda e: e.name)
+def test_covariances_for_the_map_are_those_of_states_drawn_from_the_belief(error_state):
+    rng = np.random.default_rng(2)
+    T, landmarks = se3.exp(np.array([30.0, 10, 1, 0.1, 0, 0.8])), rng.normal(scale=40, size=(3, 3))
+    A = rng.normal(size=(15, 15)) * np.repeat([1e-3, 1e-3, 1e-5], [9, 3, 3])[:, None]
+    belief = Belief(T.copy(), landmarks.copy(), np.arange(3), A @ A.T)
+    drawn = [error_state.retract(T, landmarks, delta) for delta in (A @ rng.normal(size=(15, 8000))).T]
+    errors = np.array([m for _, m in drawn]) - landmarks
+    for i, covariance in enumerate(pipeline.world_landmark_covariance(belief, error_state)):
+        np.testing.assert_allclose(covariance, np.cov(errors[:, i].T), atol=0.07 * np.trace(covariance))
+    poses = se3.log(se3.inverse(T) @ np.array([p for p, _ in drawn]))
+    P = pipeline.right_pose_covariance(belief, error_state)
+    scale = np.sqrt(np.outer(np.diag(P), np.diag(P)))
+    np.testing.assert_allclose(np.cov(poses.T) / scale, P / scale, atol=0.07)
+
+
+# --- the report's figures -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", report_figures.FIGURES)
+def test_figure_is_readable(result, name):
+    figure = report_figures.FIGURES[name](result)
+    FigureCanvasAgg(figure).draw()
+    axes, = figure.axes
+    assert axes.get_aspect() == 1
+    assert axes.get_xlabel().endswith("(m)")
+    assert axes.get_ylabel().endswith("(m)")
+    assert any(c.isdigit() for c in axes.get_title(loc="left"))  # the finding, with its number
+    renderer = figure.canvas.get_renderer()
+    legend, = figure.legends
+    page, below = figure.bbox, legend.get_window_extent(renderer)
+    whole = axes.get_tightbbox(renderer)  # with title, labels and ticks
+    assert page.x0 <= whole.x0 < whole.x1 <= page.x1
+    assert page.x0 <= below.x0 < below.x1 <= page.x1
+    assert page.y0 <= below.y0 < below.y1 < whole.y0 < whole.y1 <= page.y1
+    texts = [axes.xaxis.label, axes.yaxis.label, axes.title, *legend.get_texts(), *axes.get_xticklabels()]
+    assert min(t.get_fontsize() for t in texts) >= 9
+    truth = labelled(axes, "ground truth")
+    np.testing.assert_array_equal(truth, result.drive.true_world_T_imu[:, :2, 3])
+    assert lines(axes)["ground truth"].get_color() == "#000000"
+
+
+MAPS = {
+    "fig2_initial_landmarks": ["dead_reckoning"],
+    "fig3_mapped_landmarks": ["mapping"],
+    "fig4_initial_and_mapped_landmarks": ["dead_reckoning", "mapping"],
+    "fig5_slam_landmarks": ["slam"],
+    "fig7_all_landmarks": ["dead_reckoning", "mapping", "slam"],
+}
+
+
+@pytest.mark.parametrize("name", MAPS)
+def test_map_shows_its_landmarks(result, name):
+    axes, = report_figures.FIGURES[name](result).axes
+    beliefs = {"dead_reckoning": result.initial, "mapping": result.mapped.map, "slam": result.slam.map}
+    for method in MAPS[name]:
+        belief = beliefs[method]
+        shown = labelled(axes, f"landmarks, {style.LABELS[method]}")
+        np.testing.assert_array_equal(shown, belief.landmarks[belief.seen, :2])
+    assert len([label for label in lines(axes) if label.startswith("landmarks")]) == len(MAPS[name])
+
+
+def test_trajectory_figures_show_the_paths_and_their_ellipses(result):
+    axes, = report_figures.both_trajectories(result).axes
+    dead_reckoned = result.dead_reckoning.world_T_imu[:, :2, 3]
+    np.testing.assert_array_equal(labelled(axes, "dead reckoning"), dead_reckoned)
+    np.testing.assert_array_equal(labelled(axes, "SLAM"), result.slam.trajectory.world_T_imu[:, :2, 3])
+    dead, joint = outlines(axes)
+    last = style.ellipse_points(result.slam.trajectory.world_T_imu[-1, :2, 3],
+                                plots.position_covariance(result.slam.trajectory)[-1, :2, :2])
+    np.testing.assert_allclose(joint.get_segments()[-1], last)
+    assert len(dead.get_segments()) == 12
+
+
+def test_ellipses_of_landmarks_belong_to_landmarks_in_the_view_and_are_short(result):
+    axes, = report_figures.slam_landmarks(result).axes
+    collection, = outlines(axes)
+    belief, width = result.slam.map, np.ptp(axes.get_xlim())
+    assert 5 < len(collection.get_segments()) <= report_figures.ELLIPSES
+    for outline in collection.get_segments():
+        centre = (outline[:-1].min(axis=0) + outline[:-1].max(axis=0)) / 2
+        i = np.argmin(np.linalg.norm(belief.landmarks[:, :2] - centre, axis=1))
+        mine = style.ellipse_points(belief.landmarks[i, :2], belief.covariance[i, :2, :2])
+        np.testing.assert_allclose(outline, mine, atol=1e-9)
+        assert np.ptp(outline, axis=0).max() <= width / 10 + 1e-9
+
+
+def test_landmark_far_away_is_counted_and_does_not_move_the_view(result):
+    from dataclasses import replace
+
+    before = report_figures.initial_landmarks(result).axes[0]
+    landmarks = result.initial.landmarks.copy()
+    view = (*before.get_xlim(), *before.get_ylim())
+    already = np.count_nonzero(~plots.inside(view, landmarks[result.initial.seen]))
+    near = np.flatnonzero(plots.inside(view, landmarks) & result.initial.seen)[:2]
+    landmarks[near] = 1e5
+    far = replace(result, initial=replace(result.initial, landmarks=landmarks))
+    axes, = report_figures.initial_landmarks(far).axes
+    assert (*axes.get_xlim(), *axes.get_ylim()) == view
+    assert any(label.endswith(f"({already + 2} outside)") for label in lines(axes))
+
+
+def test_without_truth_nothing_black_is_drawn_and_no_error_is_claimed(result):
+    from dataclasses import replace
+
+    blind = replace(result, drive=result.drive.replace(truth_world_T_cam=None, truth_landmarks=None))
+    for draw in report_figures.FIGURES.values():
+        axes, = draw(blind).axes
+        assert "ground truth" not in lines(axes)
+        assert "truth" not in axes.get_title(loc="left")
+
+
+def test_titles_tell_the_errors(result):
+    title = report_figures.both_trajectories(result).axes[0].get_title(loc="left").replace("\n", " ")
+    truth = result.drive.true_world_T_imu[-1, :3, 3]
+    slam_error = np.linalg.norm(result.slam.trajectory.world_T_imu[-1, :3, 3] - truth)
+    error = np.linalg.norm(result.dead_reckoning.world_T_imu[-1, :3, 3] - truth)
+    title = title.replace("\N{NO-BREAK SPACE}", " ")
+    assert title.startswith(f"SLAM ends {slam_error:.1f} m from the truth, dead reckoning {error:.1f} m")
+
+
+def test_heading_band_is_the_claim_and_the_line_the_error(drive):
+    trajectory = odometry.dead_reckon(drive, NOISE)
+    axes, = plots.heading_band(drive, trajectory).axes
+    band = np.degrees(1.959964 * plots.heading_sigma(trajectory))
+    outline = axes.collections[0].get_paths()[0].vertices
+    assert outline[:, 1].max() == pytest.approx(band.max(), rel=1e-6)
+    error = labelled(axes, "estimated minus true")[:, 1]
+    expected = plots.heading_error(drive.true_world_T_imu, trajectory.world_T_imu)
+    np.testing.assert_allclose(np.radians(error), expected, rtol=1e-12)
+    assert "°" in axes.get_ylabel()
+    blind = drive.replace(truth_world_T_cam=None, truth_landmarks=None)
+    assert not lines(plots.heading_band(blind, trajectory).axes[0])
