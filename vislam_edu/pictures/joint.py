@@ -9,7 +9,7 @@ from ..style import COLOURS
 from .canvas import StepPicture, Switch
 from .panels import MapPanel, TimePanel, add_axes, legend, nis_band
 
-AXIS = 1  # of the pose error [x, y, z, roll, pitch, yaw]: sideways
+AXIS = 0  # of the pose error [x, y, z, roll, pitch, yaw]: along the road, which stereo knows least about
 YAW = 5
 
 
@@ -134,7 +134,7 @@ class JointPicture(StepPicture):
         first = self.histories[0]
         lines = [[(first.error[:, a], blue), (first.three_sigma[:, a], grey), (-first.three_sigma[:, a], grey)]
                  for a in (AXIS, YAW)]
-        self.sideways = TimePanel(self, (0.56, 0.72, 0.43, 0.2), "Position error to the left, m, and its ± 3σ (dashed)", "",
+        self.forward = TimePanel(self, (0.56, 0.72, 0.43, 0.2), "Position error forward, m, and its ± 3σ (dashed)", "",
                                   times, lines[0], xlabel="", ylim=(-top[0], top[0]))
         self.heading = TimePanel(self, (0.56, 0.41, 0.43, 0.2), "Heading error, degrees, and its ± 3σ (dashed)", "",
                                  times, [(np.rad2deg(v), style) for v, style in lines[1]], xlabel="",
@@ -155,7 +155,7 @@ class JointPicture(StepPicture):
         self.new.set_data(*belief.landmarks[born, :2].T)
         self.gone.set_data(*belief.landmarks[leaving, :2].T)
         self._draw_matrix(belief, born, leaving)
-        for panel, values in ((self.sideways, [history.error[:, AXIS], *_plus_minus(history.three_sigma[:, AXIS])]),
+        for panel, values in ((self.forward, [history.error[:, AXIS], *_plus_minus(history.three_sigma[:, AXIS])]),
                               (self.heading, np.rad2deg([history.error[:, YAW], *_plus_minus(history.three_sigma[:, YAW])])),
                               (self.nis, [history.nis])):
             panel.values = values

@@ -114,7 +114,7 @@ class ImagePanel:
             autolim=False)
         self.arrows = self.axes.add_collection(
             LineCollection([], lw=1.6, color=COLOURS["accepted"], label="innovation"), autolim=False)
-        (self.predicted,) = self.axes.plot([], [], "x", ms=5, mew=1.2, color=COLOURS["predicted"], label="predicted (or updated)")
+        (self.predicted,) = self.axes.plot([], [], "x", ms=5, mew=1.2, color=COLOURS["predicted"], label="predicted")
         (self.measured,) = self.axes.plot([], [], "o", ms=3.5, color=COLOURS["measured"], label="measured")
         (self.chosen,) = self.axes.plot([], [], "o", ms=11, mew=1.5, mfc="none", mec=COLOURS["measured"])
         picture.moves(self.ellipses, self.arrows, self.predicted, self.measured, self.chosen)
@@ -147,7 +147,7 @@ class TimePanel:
         self.times = times
         xlabel = axes.pop("xlabel", "time, s")
         self.axes = add_axes(picture, rect, title, xlabel, ylabel, **axes)
-        self.axes.set_xlim(times[0], times[-1] if times[-1] > times[0] else times[0] + 1)
+        self.axes.set_xlim(times[0], times[0] + 1.02 * max(times[-1] - times[0], 0.1))
         for values, style in still:
             self.axes.plot(times, values, **style)
         self.values = [np.array(values) for values, _ in lines]

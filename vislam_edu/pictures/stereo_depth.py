@@ -51,7 +51,9 @@ class StereoDepthPicture(Picture):
         (self.ellipse,) = self.above.plot([], [], "-", lw=1.6, color=COLOURS["posterior"], label="95 % ellipse")
         (self.point,) = self.above.plot([], [], "+", ms=7, mew=1.2, color=COLOURS["truth"], label="true point")
         self.moves(self.rays, self.cloud, self.ellipse, self.point)
-        legend(self.above, [self.cloud, self.ellipse, self.point], columns=1, loc="upper right")
+        legend(self.above, [self.cloud, self.ellipse, self.point], loc="lower left", bbox_to_anchor=(0, 1), frameon=False,
+               borderaxespad=0)
+        self.above.set_title(self.above.get_title("left"), fontsize=10, loc="left", pad=19)
 
         self.law = add_axes(self, (0.57, 0.1, 0.42, 0.3), "Standard deviation of the depth, m", "depth, m", "",
                             xlim=(0, FAR + 3), ylim=(0, 20))

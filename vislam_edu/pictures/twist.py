@@ -108,9 +108,9 @@ def banana(belief):
 
 
 def round_up(length):
-    """The next of ..., 1, 1.5, 2, 3, 5, 7, 10, ..."""
+    """The next of ..., 1, 1.2, 1.5, 2, 2.5, 3, 4, 5, 6, 8, 10, ..."""
     power = 10.0 ** np.floor(np.log10(length))
-    return power * next(m for m in (1, 1.5, 2, 3, 5, 7, 10) if m * power >= length)
+    return power * next(m for m in (1, 1.2, 1.5, 2, 2.5, 3, 4, 5, 6, 8, 10) if m * power >= length)
 
 
 class Outcome:
@@ -162,7 +162,7 @@ class TwistPicture(Picture):
 
     def build(self):
         """The view in space on the left, the view from above on the right."""
-        self.space = add_axes(self, (0.02, 0.04, 0.46, 0.8), "In space: the frame along its screw", xticks=[], yticks=[],
+        self.space = add_axes(self, (0.01, 0.05, 0.48, 0.8), "In space: the frame along its screw", xticks=[], yticks=[],
                               aspect="equal", adjustable="box")
         self.space.grid(False)
         for spine in self.space.spines.values():
@@ -178,9 +178,9 @@ class TwistPicture(Picture):
         self.ground, self.shadow, self.axis, self.triads = self.moves(*lines.values())
         self.moves(self.path, self.euler)
         self.grid = self.figure.text(0.02, 0.02, "", fontsize=9, color="0.35")  # changes only when the frame does
-        legend(self.space, [self.path, self.euler, self.axis, self.shadow], loc="lower left", bbox_to_anchor=(0, 1),
+        legend(self.space, [self.path, self.euler, self.axis, self.shadow], columns=2, loc="lower left", bbox_to_anchor=(0, 1),
                frameon=False, borderaxespad=0)
-        self.space.set_title(self.space.get_title("left"), fontsize=10, loc="left", pad=19)
+        self.space.set_title(self.space.get_title("left"), fontsize=10, loc="left", pad=35)
 
         self.above = add_axes(self, (0.56, 0.1, 0.37, 0.74), "From above: where noise on v x, v y, ω z may put it", "x, m", "y, m",
                               aspect="equal", adjustable="box")
@@ -211,7 +211,7 @@ class TwistPicture(Picture):
     def _draw_space(self, outcome, twist, duration, approximate):
         poses = se3.exp(np.linspace(0, duration, 80)[:, None] * twist)
         points, shadow = poses[:, :3, 3], poses[:, :3, 3] * [1, 1, 0]
-        side = 1.6 * outcome.reach
+        side = 1.48 * outcome.reach
         self.frame(self.space, VIEW @ outcome.centre, side / 2)
         self.path.set_data(*(points @ VIEW.T).T)
         self.euler.set_data(*(approximate[:, :3, 3] @ VIEW.T).T)
@@ -241,7 +241,7 @@ class TwistPicture(Picture):
         self.cloud.set_data(*outcome.ends.T)
         path = se3.exp(np.linspace(0, outcome.duration, 60)[:, None] * outcome.twist)[:, :2, 3]
         self.mean_path.set_data(*path.T)
-        self.frame(self.above, outcome.centre[:2], 0.85 * outcome.reach)
+        self.frame(self.above, outcome.centre[:2], 0.78 * outcome.reach)
 
     def caption(self, **state):
         """How far Euler is off, and how much of the cloud each outline holds."""
