@@ -15,13 +15,14 @@ import sys
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 from scipy.stats import binom, chi2, norm, poisson
 
 from . import cures, imu_alignment, measured_noise, recordings, se3, track_health, visual_odometry
 from .audit_report import AXES, Finding, Report
 from .cures import Cure
 from .drive import Drive
-from .imu_alignment import GYRO_BIAS, GYRO_SCALE, LEVER_ARM, OFFSETS, ROTATION, SPEED_SCALE, Alignment
+from .imu_alignment import GYRO_BIAS, GYRO_SCALE, LEVER_ARM, ROTATION, SPEED_SCALE, Alignment
 
 SIGNIFICANCE = 1e-4  # a clean drive is accused of each fault less often than this
 
@@ -29,6 +30,8 @@ SIGNIFICANCE = 1e-4  # a clean drive is accused of each fault less often than th
 MIN_BEHIND_INFINITY = 5e-4  # share of the observations
 MIN_ROW_OFFSET = 0.5  # px
 MIN_OUTLIER_TRACKS = 0.01  # share of the tracks
+MIN_OUTLIER_NOISE = 0.5  # px: a track that noise of this size explains does little harm
+MIN_OFFSET = 0.3  # samples
 MIN_LEVER_ARM = 0.1  # m
 MIN_MISALIGNMENT = np.radians(2.0)
 MIN_SCALE = 0.02  # of the speed; twice that of the gyro
@@ -45,22 +48,22 @@ def audit(drive: Drive) -> Report:
     findings += _outlier_tracks(cured, motions)
     facts = _facts(drive, cured, motions)
     try:
-        log_likelihood = imu_alignment.likelihood_of_offsets(cured, motions)
-        findings += _timing(cured, log_likelihood, facts)
+        timing = imu_alignment.timing(cured, motions)
+        findings += _timing(cured, timing)
         in_time = _apply(drive, findings)
         signs = _correlation_by_extrinsics(in_time, motions)
         alignment = imu_alignment.align(in_time, motions)
     except imu_alignment.TooFewSteps as reason:
         facts["IMU"] = f"not judged: {reason}"
-        signs = alignment = noise = log_likelihood = None
+        timing = signs = alignment = noise = None
     else:
         alignment = _mirrored(in_time, motions, alignment, findings)
         for check in (_axes, _misalignment, _lever_arm, _scales, _gyro_bias):
             findings += check(_apply(drive, findings), alignment)
         noise = measured_noise.from_alignment(in_time, alignment, motions)
-        facts |= _alignment_facts(alignment)
+        facts |= _alignment_facts(timing, alignment)
     return Report(drive=drive, findings=tuple(findings), facts=facts, signs=signs, alignment=alignment, noise=noise,
-                  offset_log_likelihood=log_likelihood, motions=motions, copy_steps=copy_steps)
+                  timing=timing, motions=motions, copy_steps=copy_steps)
 
 
 def _apply(drive, findings):
@@ -68,6 +71,11 @@ def _apply(drive, findings):
         if finding.cure:
             drive = drive.apply(finding.cure)
     return drive
+
+
+def _chance(p):
+    """A p-value that underflowed is still not the zero of a certain thing."""
+    return float(np.clip(p, 1e-300, 1.0))
 
 
 # --- tracks -----------------------------------------------------------------------------------------------
@@ -101,7 +109,7 @@ def _behind_infinity(drive):
     p = float(poisson.sf(bad.sum() - 1, len(bad) * norm.sf(5)))
     if p < SIGNIFICANCE and bad.mean() > MIN_BEHIND_INFINITY:
         yield Finding(
-            "behind infinity", int(bad.sum()), "observations", p,
+            "behind infinity", int(bad.sum()), "observations", _chance(p),
             f"{bad.sum()} disparities ({bad.mean():.2%}) are below zero by more than noise explains, "
             f"down to {track_health.disparity(drive).min():.1f} px: left and right show different things",
             cures.end_tracks_behind_infinity(), "end each track before its first impossible disparity",
@@ -117,7 +125,7 @@ def _row_offset(drive):
     p = 2 * norm.sf(abs(offset) / max(error, 1e-12))
     if p < SIGNIFICANCE and abs(offset) > MIN_ROW_OFFSET:
         yield Finding(
-            "row offset", offset, "px", float(p),
+            "row offset", offset, "px", _chance(p),
             f"v_left - v_right is {offset:+.2f} px in the middle: the pair is not rectified",
             cures.level_rows(offset), f"add {offset:.2f} px to v_right",
         )  # fmt: skip
@@ -137,8 +145,9 @@ def _missing_frames(drive):
 def _outlier_tracks(drive, motions):
     known = motions.ok[motions.step]
     landmark = drive.landmark[motions.before]
-    pairs, wrong = (np.bincount(landmark[rows], minlength=drive.n_landmarks)
-                    for rows in (known, known & ~motions.inlier))
+    distance = np.sqrt(motions.mahalanobis2) * min(1.0, motions.sigma_px / MIN_OUTLIER_NOISE)
+    off = known & (distance**2 > chi2.ppf(visual_odometry.INLIER_PROBABILITY, 3))
+    pairs, wrong = (np.bincount(landmark[rows], minlength=drive.n_landmarks) for rows in (known, off))
     judged = pairs >= 2
     outliers = judged & (wrong > pairs / 2)
     # Two pairs of two, or three of four ...: the likeliest innocent way is two of two
@@ -147,13 +156,13 @@ def _outlier_tracks(drive, motions):
     share = outliers.sum() / max(judged.sum(), 1)
     if p < SIGNIFICANCE and share > MIN_OUTLIER_TRACKS:
         flow = np.abs(drive.pixels[motions.after] - drive.pixels[motions.before]).max(axis=1)
-        still = (flow < 3 * motions.sigma_px) & known & ~motions.inlier
+        still = off & (flow < 3 * motions.sigma_px)
         stuck = outliers & (np.bincount(landmark[still], minlength=drive.n_landmarks) > pairs / 2)
         text = f"{outliers.sum()} of {judged.sum()} tracks ({share:.1%}) contradict the others most of the time"
         if stuck.any():
             text += f"; {stuck.sum()} of them stand still in the image when they should move"
         yield Finding(
-            "outlier tracks", float(share), "share of the tracks", p, text,
+            "outlier tracks", float(share), "share of the tracks", _chance(p), text,
             cures.drop_tracks(drive, np.flatnonzero(outliers)), "drop them, or rely on the filter's gate",
         )  # fmt: skip
 
@@ -179,47 +188,35 @@ def _facts(drive, cured, motions):
 
 # --- IMU --------------------------------------------------------------------------------------------------
 
-_READINGS = {"k": 0.0, "mean": -0.5, "k+1": -1.0}
+_READINGS = {"k": 0.0, "mean": -0.5, "k+1": -1.0}  # which step k + s sample k is read for
 
 
-def _timing(drive, log_likelihood, facts):
-    """Which reading of the samples fits, the simplest of those that fit about equally well."""
-    claimed = np.flatnonzero(_READINGS[drive.imu_sample] == OFFSETS)[0]
-    threshold = chi2.isf(SIGNIFICANCE / len(OFFSETS), 1)
-    whole = np.where(OFFSETS % 1 == 0, log_likelihood, -np.inf)
-    best = int(np.argmax(whole))
-    if 2 * (log_likelihood.max() - whole[best]) > threshold:
-        best = int(np.argmax(log_likelihood))
-    offset, tau = OFFSETS[best], float(np.median(drive.taus))
-    facts["IMU sample k fits step k + s best for s"] = _peak(log_likelihood)
-    facts["time offset of the IMU against the file's reading [s]"] = tau * (_READINGS[drive.imu_sample]
-                                                                            - _peak(log_likelihood))
-    gain = 2 * (log_likelihood[best] - log_likelihood[claimed])
-    if gain <= threshold:
+def _timing(drive, timing):
+    """Which reading of the samples fits: a whole offset, or where none does one between two."""
+    claimed = _READINGS[drive.imu_sample]
+    offset, error = timing.peak
+    p = timing.p_value(claimed)
+    if p >= SIGNIFICANCE or abs(offset - claimed) <= MIN_OFFSET:
         return
-    reading = next((name for name, s in _READINGS.items() if s == offset), None)
+    fits = float(timing.best)
+    if timing.p_value(fits) < SIGNIFICANCE and abs(offset - fits) > MIN_OFFSET:
+        fits = float(np.floor(offset)) + 0.5
+    reading = next((name for name, s in _READINGS.items() if s == fits), None)
+    if reading == drive.imu_sample:
+        return
     if reading:
-        cure = cures.use_imu_sample(reading)
-        advice = f'read it so: imu_sample="{reading}"'
+        cure, advice = cures.use_imu_sample(reading), f'read it so: imu_sample="{reading}"'
     else:
-        samples = int(np.floor(-offset))
-        cure = cures.shift_imu(samples, "k" if offset % 1 == 0 else "mean")
+        samples = int(np.floor(-fits))
+        cure = cures.shift_imu(samples, "k" if fits % 1 == 0 else "mean")
         advice = f"move the IMU by {samples:+d} samples"
-    late = (OFFSETS[claimed] - offset) * tau
+    late = (claimed - offset) * float(np.median(drive.taus))
     yield Finding(
-        "IMU timing", float(late), "s", float(min(1.0, len(OFFSETS) * chi2.sf(gain, 1))),
-        f'IMU sample k fits the motion over step k{offset:+g}, but "{drive.imu_sample}" is claimed: '
-        f"it is {abs(late):.3f} s {'late' if late > 0 else 'early'}",
+        "IMU timing", late, "s", _chance(p),
+        f'IMU sample k fits the motion over step k{fits:+g} best (k{offset:+.2f} +- {error:.2f}), but '
+        f'"{drive.imu_sample}" is claimed: it is {abs(late):.3f} s {"late" if late > 0 else "early"}',
         cure, advice,
     )  # fmt: skip
-
-
-def _peak(log_likelihood):
-    """Offset of the parabola through the likeliest offset and its neighbours."""
-    i = int(np.clip(np.argmax(log_likelihood), 1, len(OFFSETS) - 2))
-    a, b, c = log_likelihood[i - 1 : i + 2]
-    bend = a - 2 * b + c
-    return float(OFFSETS[i] + (0.25 * (a - c) / bend if bend < 0 else 0.0))
 
 
 def _correlation_by_extrinsics(drive, motions):
@@ -245,7 +242,7 @@ def _mirrored(drive, motions, alignment, findings):
     p = float(norm.sf(np.arctanh(min(strength, 1 - 1e-12)) * np.sqrt(len(alignment.steps))))
     cure = cures.divide_imu(factors, f"{names} reversed")
     findings.append(Finding(
-        "mirrored axis", (3 + wrong).tolist(), "column of the twist", p,
+        "mirrored axis", (3 + wrong).tolist(), "column of the twist", _chance(p),
         f"{names} has the wrong sign: no rotation of the IMU explains it", cure, f"reverse {names}",
     ))  # fmt: skip
     return imu_alignment.align(drive.apply(cure), motions)
@@ -262,7 +259,7 @@ def _axes(drive, alignment: Alignment):
         name = cures.describe_axes(turn)
         flipped = " and ".join("xyz"[i] for i in range(3) if turn[i, i] < 0) if (np.diag(turn) != 0).all() else ""
         yield Finding(
-            "IMU axes", turn.astype(int).tolist(), "rotation", p,
+            "IMU axes", turn.astype(int).tolist(), "rotation", _chance(p),
             f"the samples are in another frame than the extrinsics: {name}"
             + (f", the {flipped} axes are flipped" if flipped else ""),
             cures.turn_imu_axes(turn.T), f"right-multiply cam_T_imu by {cures.describe_axes(turn.T)}",
@@ -271,8 +268,6 @@ def _axes(drive, alignment: Alignment):
 
 def _nearest_whole(R):
     """The one of the 24 rotations of whole axes that is nearest to R (3, 3)."""
-    from scipy.spatial.transform import Rotation
-
     group = Rotation.create_group("O").as_matrix().round()
     return group[np.argmax(np.einsum("gij,ij->g", group, R))]
 
@@ -283,8 +278,7 @@ def _misfit(imu_R_cam, alignment: Alignment):
     bias = np.r_[np.zeros(3), alignment.gyro_bias]
     without_bias = (alignment.predicted - bias).reshape(-1, 2, 3)
     turned = np.matvec(turn, without_bias).reshape(-1, 6) + bias
-    limit = imu_alignment.CUT**2
-    cost = [np.minimum(((alignment.measured - guess) / alignment.residual_sigma) ** 2, limit).sum()
+    cost = [np.minimum((alignment.measured - guess) ** 2 / alignment.variance, imu_alignment.CUT**2).sum()
             for guess in (turned, alignment.predicted)]
     return max(cost[0] - cost[1], 0.0)
 
@@ -301,7 +295,7 @@ def _misalignment(drive, alignment):
     p, angle = alignment.p_value(ROTATION, turn), float(np.linalg.norm(known))
     if p < SIGNIFICANCE and angle > MIN_MISALIGNMENT:
         yield Finding(
-            "misalignment", np.degrees(known).tolist(), "deg", p,
+            "misalignment", np.degrees(known).tolist(), "deg", _chance(p),
             f"the extrinsics are rotated by {np.degrees(angle):.1f} deg against what cameras and IMU agree on "
             f"(about the IMU's axes: {_list(np.degrees(known), 1)} deg)",
             cures.rotate_extrinsics(se3.so3_exp(-known)), "rotate the extrinsics by the fitted angle",
@@ -334,7 +328,7 @@ def _lever_arm(drive, alignment):
     else:
         cure = cures.set_lever_arm(given + known)
         advice = f"put the camera at {_list(given + known, 2)} m, as far as the turns tell"
-    yield Finding("lever arm", known.tolist(), "m", p, text, cure, advice)
+    yield Finding("lever arm", known.tolist(), "m", _chance(p), text, cure, advice)
 
 
 def _scales(drive, alignment):
@@ -347,7 +341,7 @@ def _scales(drive, alignment):
             factors = np.ones(6)
             factors[columns] = scale
             yield Finding(
-                f"{what} scale", scale, "IMU / cameras", p,
+                f"{what} scale", scale, "IMU / cameras", _chance(p),
                 f"the IMU's {what} is {scale:.3f} times the cameras'",
                 cures.divide_imu(factors, f"{what} divided by {scale:.4f}"),
                 f"divide the {what} by {scale:.3f}, if the baseline is to be trusted more",
@@ -358,14 +352,15 @@ def _gyro_bias(drive, alignment):
     bias, p = alignment.gyro_bias, alignment.p_value(GYRO_BIAS, alignment.gyro_bias)
     if p < SIGNIFICANCE and np.abs(bias).max() > MIN_GYRO_BIAS:
         yield Finding(
-            "gyro bias", bias.tolist(), "rad/s", p,
+            "gyro bias", bias.tolist(), "rad/s", _chance(p),
             f"{_list(bias, 4)} +- {_list(alignment.sigma(GYRO_BIAS), 4)} rad/s",
             cures.subtract_gyro_bias(bias), "subtract it, or let the filter estimate it as it drives",
         )  # fmt: skip
 
 
-def _alignment_facts(alignment):
+def _alignment_facts(timing, alignment):
     return {
+        "IMU sample k fits step k + s best for s": "{:.2f} +- {:.2f}".format(*timing.peak),
         "camera in the IMU frame [m]": f"{_list(alignment.camera_in_imu, 2)} "
                                        f"+- {_list(alignment.sigma(LEVER_ARM), 2)}",
         "gyro bias [rad/s]": f"{_list(alignment.gyro_bias, 4)} +- {_list(alignment.sigma(GYRO_BIAS), 4)}",

@@ -5,11 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from . import imu_alignment, style, track_health
 from .cures import Cure
 from .drive import Drive
-from .imu_alignment import Alignment
+from .imu_alignment import Alignment, Timing
 from .measured_noise import MeasuredNoise
 from .visual_odometry import FrameMotions
 
@@ -20,8 +21,8 @@ AXES = ("v_x", "v_y", "v_z", "gyro x", "gyro y", "gyro z")
 class Finding:
     """One thing that is wrong with a recording.
 
-    fault : its short name. size, unit : how large, a number or a list. p_value : how often a recording without the fault
-    would look as bad (0 where no chance is involved). text : one sentence. cure : `Cure`, or None where the
+    fault : its short name. size, unit : how large, a number or a list. p_value : how often a recording without
+    the fault would look as bad (0 where no chance is involved, never below 1e-300 where it is). text : one sentence. cure : `Cure`, or None where the
     recording cannot tell which of its numbers is wrong. advice : what to do, one line.
     """
 
@@ -39,7 +40,10 @@ class Finding:
         return 1 - self.p_value
 
     def __str__(self):
-        certainty = "counted, not estimated" if self.p_value == 0 else f"p = {max(self.p_value, 1e-99):.0e}"
+        if self.p_value == 0:
+            certainty = "certain"
+        else:
+            certainty = f"p = {self.p_value:.0e}" if self.p_value > 1e-99 else "p < 1e-99"
         return f"{self.fault}: {self.text} [{certainty}]\n    cure: {self.advice}"
 
     def to_dict(self) -> dict:
@@ -59,7 +63,7 @@ class Report:
     signs : (6,) correlation of each IMU axis with the cameras by the extrinsics the file has; None like the next two
         where the cameras see too little to judge the IMU.
     alignment : what fits the IMU to the cameras best, cures of timing applied. noise : measured noise.
-    offset_log_likelihood : of `imu_alignment.OFFSETS`, or None. motions : the cameras' motions.
+    timing : which sample fits which step, or None. motions : the cameras' motions.
     copy_steps : (T-1,) bool, steps that end in a copy frame.
     """
 
@@ -69,7 +73,7 @@ class Report:
     signs: np.ndarray | None
     alignment: Alignment | None
     noise: MeasuredNoise | None
-    offset_log_likelihood: np.ndarray | None
+    timing: Timing | None
     motions: FrameMotions
     copy_steps: np.ndarray
 
@@ -135,18 +139,18 @@ class Report:
 
     def figure(self):
         """A matplotlib Figure: gyro against cameras, timing, tracks in view with copy frames, disparities."""
-        from matplotlib import pyplot as plt
-
-        fig, axes = plt.subplots(2, 3, figsize=(13, 6.5), layout="constrained")
         since_start = self.drive.times - self.drive.times[0]
-        for i, ax in enumerate(axes[0]):
-            _draw_gyro(ax, i, since_start, self.alignment)
-        _draw_timing(axes[1, 0], self.offset_log_likelihood)
-        _draw_tracks(axes[1, 1], since_start, self.drive, self.copy_steps)
-        _draw_disparities(axes[1, 2], self.drive)
-        fig.suptitle(f"Audit of {self.drive.name or 'a drive'}: "
-                     + (", ".join(finding.fault for finding in self.findings) or "nothing found"))
-        return fig
+        with style.context():
+            figure = Figure(figsize=(13, 6.5))
+            axes = figure.subplots(2, 3)
+            for i, ax in enumerate(axes[0]):
+                _draw_gyro(ax, i, since_start, self.alignment)
+            _draw_timing(axes[1, 0], self.timing)
+            _draw_tracks(axes[1, 1], since_start, self.drive, self.copy_steps)
+            _draw_disparities(axes[1, 2], self.drive)
+            figure.suptitle(f"Audit of {self.drive.name or 'a drive'}: "
+                            + (", ".join(finding.fault for finding in self.findings) or "nothing found"))
+        return figure
 
 
 def _brief(value):
@@ -169,11 +173,11 @@ def _draw_gyro(ax, i, since_start, alignment):
     ax.legend(loc="upper right", fontsize="small")
 
 
-def _draw_timing(ax, log_likelihood):
+def _draw_timing(ax, timing):
     ax.set(title="which step does IMU sample k fit?", xlabel="offset s: sample k fits step k + s",
            ylabel="log likelihood, best is 0")
-    if log_likelihood is not None:
-        relative = log_likelihood - log_likelihood.max()
+    if timing is not None:
+        relative = timing.log_likelihood - timing.log_likelihood.max()
         ax.plot(imu_alignment.OFFSETS, relative, "o-", ms=4, color=style.COLOURS["measured"])
     for offset, name in ((0, "k"), (-0.5, "mean"), (-1, "k+1")):
         ax.axvline(offset, lw=1, ls="--", color=style.COLOURS["expected"])

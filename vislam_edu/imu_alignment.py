@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.stats import chi2, norm
 
 from . import se3
 
@@ -23,6 +23,9 @@ SPEED_SCALE, GYRO_SCALE = slice(9, 10), slice(10, 11)
 N_PARAMETERS = 11
 _ITERATIONS = 12
 _MIN_STEPS = 30
+_LEAST_NOISE = 1e-6  # m/s and rad/s: no sensor is perfect, and a zero has no logarithm
+# A lever arm that nothing tells of (no turns) stays near zero; 100 m do not pull on one that is told
+_PRIOR = np.diag([1e-9] * 3 + [1e-4] * 3 + [1e-9] * 5)
 CUT = 4.0  # standard deviations: what lies beyond is a failure of tracker or IMU, not noise
 
 
@@ -37,7 +40,8 @@ class Alignment:
     imu_R_cam (3, 3) · camera_in_imu (3,) m · gyro_bias (3,) rad/s · speed_scale, gyro_scale : IMU over cameras ·
     covariance (11, 11) of [rotation vector rad (in the IMU frame), camera_in_imu, gyro_bias, speed_scale, gyro_scale] ·
     steps (n,) the steps used · measured, predicted (n, 6) IMU twists and what the cameras make of them ·
-    residual_sigma (6,) standard deviation of the difference · camera_sigma (6,) the part of it that is the cameras'.
+    imu_sigma (6,) noise of the IMU twist that drives a step, m/s and rad/s · camera_variance (n, 6) that of the
+    cameras' prediction.
     """
 
     imu_R_cam: np.ndarray
@@ -49,13 +53,13 @@ class Alignment:
     steps: np.ndarray
     measured: np.ndarray
     predicted: np.ndarray
-    residual_sigma: np.ndarray
-    camera_sigma: np.ndarray
+    imu_sigma: np.ndarray
+    camera_variance: np.ndarray
 
     @cached_property
-    def imu_sigma(self) -> np.ndarray:
-        """(6,) noise of the IMU twist that drives a step, m/s and rad/s: the residual's less the cameras' own."""
-        return np.sqrt(np.maximum(self.residual_sigma**2 - self.camera_sigma**2, 0))
+    def variance(self) -> np.ndarray:
+        """(n, 6) of the difference between measured and predicted."""
+        return self.imu_sigma**2 + self.camera_variance
 
     @cached_property
     def correlation(self) -> np.ndarray:
@@ -94,37 +98,61 @@ def _enough_steps(motions):
 
 
 def align(drive, motions) -> Alignment:
-    """Fit mounting, bias and scales of the IMU to the cameras' motions, by Gauss-Newton from a closed-form start.
+    """Fit mounting, bias and scales of the IMU to the cameras' motions.
 
     drive : its `step_twists` are taken as they are, its extrinsics are not used. motions : its `FrameMotions`.
-    Each of the six axes is weighed by its own residual; what lies beyond four standard deviations is left out.
-    Raises TooFewSteps (a ValueError) when fewer than 30 steps are usable.
+    Raises TooFewSteps (a ValueError) when the cameras' motion is known in fewer than 30 steps.
     """
     steps = _enough_steps(motions)
-    measured, seen = drive.step_twists[steps], motions.twists[steps]
+    return _fit(steps, drive.step_twists[steps], motions.twists[steps], motions.twist_covariance[steps])
+
+
+def _fit(steps, measured, seen, covariance) -> Alignment:
+    """Gauss-Newton from a closed-form start.
+
+    Each number weighs by its own variance, the IMU's noise (one number per axis, estimated on the way) plus the
+    cameras' in that step; what lies beyond four standard deviations is left out.
+    """
     R, p, b, scales = _start(measured, seen), np.zeros(3), np.zeros(3), np.ones(2)
     for _ in range(_ITERATIONS):
         predicted, jacobian = _model(seen, R, p, b, scales)
         residual = measured - predicted
-        sigma, inlier = _spread(residual)
-        weight = inlier / sigma**2
-        information = np.einsum("kai,ka,kaj->ij", jacobian, weight, jacobian)
-        information += np.diag(np.r_[np.zeros(3), np.full(3, 1e-4), np.zeros(5)]) + 1e-9 * np.eye(N_PARAMETERS)
-        gradient = np.einsum("kai,ka->i", jacobian, weight * residual)
-        gradient[LEVER_ARM] -= 1e-4 * p  # a lever arm nothing tells of (no turns) stays near zero: prior of 100 m
+        cameras = _camera_variance(R, p, covariance)
+        sigma, inlier = _imu_noise(residual, cameras)
+        weight = inlier / (sigma**2 + cameras)
+        weighted = jacobian * weight[..., None]
+        information = np.einsum("kai,kaj->ij", weighted, jacobian, optimize=True) + _PRIOR
+        gradient = np.einsum("kai,ka->i", weighted, residual)
+        gradient[LEVER_ARM] -= _PRIOR[LEVER_ARM, LEVER_ARM] @ p
         delta = np.linalg.solve(information, gradient)
         R = se3.so3_exp(delta[ROTATION]) @ R
         p, b, scales = p + delta[LEVER_ARM], b + delta[GYRO_BIAS], scales + delta[9:]
-    predicted, _ = _model(seen, R, p, b, scales)
-    sigma, _ = _spread(measured - predicted)
-    imu_T_cam = se3.pose(R, p)
-    Ad = se3.Adjoint(imu_T_cam)
-    cameras = Ad @ motions.twist_covariance[steps] @ Ad.T
-    return Alignment(
-        imu_R_cam=R, camera_in_imu=p, gyro_bias=b, speed_scale=float(scales[0]), gyro_scale=float(scales[1]),
-        covariance=np.linalg.inv(information), steps=steps, measured=measured, predicted=predicted,
-        residual_sigma=sigma, camera_sigma=np.sqrt(np.diagonal(cameras, axis1=1, axis2=2).mean(axis=0)),
-    )  # fmt: skip
+    predicted, jacobian = _model(seen, R, p, b, scales)
+    cameras = _camera_variance(R, p, covariance)
+    sigma, inlier = _imu_noise(measured - predicted, cameras)
+    score = np.einsum("kai,ka->ki", jacobian, (measured - predicted) * inlier / (sigma**2 + cameras))
+    return Alignment(imu_R_cam=R, camera_in_imu=p, gyro_bias=b, speed_scale=float(scales[0]),
+                     gyro_scale=float(scales[1]), covariance=_honest(np.linalg.inv(information), score, steps), steps=steps,
+                     measured=measured, predicted=predicted, imu_sigma=sigma, camera_variance=cameras)
+
+
+def _honest(covariance, score, steps):
+    """The covariance, larger where residuals go together for a while, as in real recordings.
+
+    score (n, 11), the gradient of each step: sums over ten steps would scatter by the information if the steps
+    were independent. Source: White, Maximum likelihood estimation of misspecified models, 1982 (the sandwich).
+    """
+    together = steps // 10
+    sums = np.stack([np.bincount(together, column) for column in score.T], axis=-1)
+    sandwich = covariance @ (sums.T @ sums) @ covariance
+    factor = np.sqrt(np.maximum(np.diagonal(sandwich) / np.diagonal(covariance), 1.0))
+    return covariance * np.outer(factor, factor)
+
+
+def _camera_variance(R, p, covariance):
+    """(n, 6) variance of the cameras' twists, covariance (n, 6, 6), along the axes of the IMU."""
+    Ad = se3.Adjoint(se3.pose(R, p))
+    return np.einsum("ai,kij,aj->ka", Ad, covariance, Ad, optimize=True)
 
 
 def _start(measured, seen):
@@ -153,41 +181,93 @@ def _model(seen, R, p, b, scales):
     return predicted, J
 
 
-def _spread(residual):
-    """Standard deviation (6,) of the residuals and which of them (n, 6) lie within four of them."""
-    sigma = np.maximum(np.median(np.abs(residual), axis=0) / 0.6745, 1e-9)
-    for _ in range(5):
-        inlier = np.abs(residual) < CUT * sigma
-        sigma = np.maximum(np.sqrt((residual**2 * inlier).sum(axis=0) / np.maximum(inlier.sum(axis=0), 1)), 1e-9)
+def _imu_noise(residual, cameras):
+    """IMU noise (6,) behind residuals (n, 6) of which the cameras' variance is known, and which are not outliers."""
+    sigma = np.maximum(np.median(np.abs(residual), axis=0) / 0.6745, _LEAST_NOISE)
+    for _ in range(10):
+        total = sigma**2 + cameras
+        inlier = residual**2 < CUT**2 * total
+        weight = inlier / total**2  # of a squared residual, whose variance is 2 total^2
+        variance = (weight * (residual**2 - cameras)).sum(axis=0) / np.maximum(weight.sum(axis=0), 1e-300)
+        sigma = np.sqrt(np.maximum(variance, _LEAST_NOISE**2))
     return sigma, inlier
 
 
 # --- when the IMU measured --------------------------------------------------------------------------------------------
 
-OFFSETS = np.arange(-4.0, 4.25, 0.5)
+OFFSETS = np.arange(-4, 5)
 
 
-def likelihood_of_offsets(drive, motions):
-    """How well IMU sample k fits the cameras' motion over step k + s, for offsets s in `OFFSETS`: log likelihoods.
+@dataclass(frozen=True, eq=False)
+class Timing:
+    """How well IMU sample k fits the cameras' motion over step k + s, for the whole offsets s in `OFFSETS`.
 
-    s = 0 is the reading "k" (the sample drives the step that follows it), s = -1 is "k+1", s = -0.5 is "mean"; half
-    numbers average two steps of the cameras, which are smooth and nearly free of noise, never two IMU samples: averaging
-    those would halve their noise and win for that reason alone. Mounting, bias and scale are not needed: each axis is
-    regressed freely on the cameras' six and a constant.
-    Returns (len(OFFSETS),); only differences mean something. Raises TooFewSteps as `align` does.
+    log_likelihood (9,) of the cameras' motion against a constant one. camera_noise : how much each of them scatters
+    (variance) because the cameras' own noise meets the IMU's by chance, anew at every offset.
+    s = 0 is the reading "k" (the sample drives the step that follows it), s = -1 is "k+1"; "mean" has its peak in
+    between. (Averaging two samples for it would halve their noise and win for that reason alone.)
+    """
+
+    log_likelihood: np.ndarray
+    camera_noise: float
+
+    @property
+    def best(self) -> int:
+        """The likeliest whole offset."""
+        return int(OFFSETS[np.argmax(self.log_likelihood)])
+
+    @cached_property
+    def peak(self) -> tuple[float, float]:
+        """Top of the parabola through the best offset and its neighbours, and its standard error, in samples.
+
+        The likelihood falls with the square of the offset as long as the motion is smooth from frame to frame.
+        """
+        i = int(np.clip(np.argmax(self.log_likelihood), 1, len(OFFSETS) - 2))
+        before, top, after = self.log_likelihood[i - 1 : i + 2]
+        curvature = 2 * top - before - after
+        if curvature <= 0:
+            return float(self.best), float("inf")
+        error = np.sqrt(1 / curvature + self.camera_noise / (2 * curvature**2))
+        return float(OFFSETS[i] + 0.5 * (after - before) / curvature), float(error)
+
+    def p_value(self, offset) -> float:
+        """How often the best offset would win by as much if this one (whole or a half) were right.
+
+        A right offset whose fit differs from the best one's by an energy E loses by N(-E, 2 E + 2 camera_noise); E is
+        taken as the least favourable one. Without camera noise this is the likelihood ratio test.
+        """
+        if abs(self.peak[0] - offset) < 0.75:
+            return float(2 * norm.sf(abs(self.peak[0] - offset) / self.peak[1]))
+        gain = self.log_likelihood.max() - self.log_likelihood[np.abs(OFFSETS - offset) < 0.75].max()
+        V = self.camera_noise
+        z2 = 2 * (gain - V) if gain >= 2 * V else gain**2 / (2 * V)
+        return float(min(1.0, 2 * len(OFFSETS) * norm.sf(z2**0.5)))
+
+
+def timing(drive, motions) -> Timing:
+    """Hold every offset from -4 to 4 against the cameras; the alignment is fitted anew for each.
+
+    Uses the raw samples, `drive.imu_sample` does not matter. Raises TooFewSteps as `align` does.
     """
     steps = _enough_steps(motions)
-    seen = motions.twists[steps]
-    samples = np.arange(4, drive.n_frames - 5)
-    near = np.abs(samples - steps[np.searchsorted(steps, samples).clip(0, len(steps) - 1)]) <= 4
-    samples = samples[near]
-    measured = drive.twists[samples]
-    log_likelihood = []
-    for offset in OFFSETS:
-        at = samples + offset  # single gaps are bridged, as between the steps
-        regressors = np.stack([np.interp(at, steps, axis) for axis in seen.T], axis=-1)
-        design = np.column_stack([regressors, np.ones(len(samples))])
-        fit, *_ = np.linalg.lstsq(design, measured, rcond=None)
-        sigma, _ = _spread(measured - design @ fit)
-        log_likelihood.append(-len(samples) * np.log(sigma).sum())
-    return np.array(log_likelihood)
+    steps = steps[(steps >= OFFSETS[-1]) & (steps - OFFSETS[0] < drive.n_frames)]
+    seen, covariance = motions.twists[steps], motions.twist_covariance[steps]
+    fits = [_fit(steps, drive.twists[steps - offset], seen, covariance) for offset in OFFSETS]
+    best = min(fits, key=lambda fit: np.log(fit.variance).sum())
+    return Timing(
+        log_likelihood=np.array([_explained(fit, best.variance) for fit in fits]),
+        camera_noise=float((best.camera_variance * best.imu_sigma**2 / best.variance**2).sum()),
+    )
+
+
+def _explained(fit, variance):
+    """Log likelihood of the measured twists less that of constant ones.
+
+    The difference, because other offsets take in other samples at both ends, whose noise alone would count for much.
+    """
+    constant = (fit.measured / variance).sum(axis=0) / (1 / variance).sum(axis=0)
+    unexplained = (fit.measured - fit.predicted) ** 2 / variance
+    of_constant = (fit.measured - constant) ** 2 / variance
+    outlier = unexplained > CUT**2
+    gained = np.where(outlier, np.minimum(of_constant, CUT**2) - CUT**2, of_constant - unexplained)
+    return 0.5 * gained.sum()

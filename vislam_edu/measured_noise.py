@@ -20,7 +20,7 @@ class MeasuredNoise:
 
     sigma_v (3,) m/s and sigma_omega (3,) rad/s : of one IMU sample, by axis of the IMU.
     sigma_px_rows : px, from v_left - v_right: what left and right disagree about, a lasting mismatch included.
-    sigma_px_flow : px, from the residuals of one-frame motion: what changes from frame to frame (never below the former).
+    sigma_px_flow : px, from the residuals of one-frame motion: what changes from frame to frame.
     standard_error (6,) : of the six IMU numbers, same units.
     """
 
@@ -62,12 +62,13 @@ def from_alignment(drive, alignment, motions) -> MeasuredNoise:
     """The same from an `Alignment` and `FrameMotions` already at hand."""
     per_sample = 2**0.5 if drive.imu_sample == "mean" else 1.0  # the mean of two samples has half the variance
     sigma = per_sample * alignment.imu_sigma
-    # The residual's variance is known to sqrt(2 / n) of itself; all of that falls on the IMU's part
-    error = per_sample * alignment.residual_sigma**2 / np.maximum(alignment.imu_sigma, 1e-12)
+    # Squared residuals scatter by sqrt(2) of their variance; all of that falls on the IMU's part
+    variance_error = np.sqrt(2 / np.sum(alignment.variance**-2, axis=0))
+    error = per_sample * variance_error / (2 * alignment.imu_sigma)
     return MeasuredNoise(
         sigma_v=sigma[:3],
         sigma_omega=sigma[3:],
         sigma_px_rows=visual_odometry.row_noise(drive.pixels),
         sigma_px_flow=motions.sigma_px,
-        standard_error=error / np.sqrt(2 * len(alignment.steps)),
+        standard_error=error,
     )
