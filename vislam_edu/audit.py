@@ -254,7 +254,7 @@ def _axes(drive, alignment: Alignment):
     turn = _nearest_whole(samples_R_extrinsics)
     if np.array_equal(turn, np.eye(3)):
         return
-    p = float(chi2.sf(_misfit(drive.camera.imu_T_cam[:3, :3], alignment), 3))
+    p = float(chi2.sf(imu_alignment.misfit(alignment, drive.camera.imu_T_cam[:3, :3]), 3))
     if p < SIGNIFICANCE:
         name = cures.describe_axes(turn)
         flipped = " and ".join("xyz"[i] for i in range(3) if turn[i, i] < 0) if (np.diag(turn) != 0).all() else ""
@@ -272,17 +272,6 @@ def _nearest_whole(R):
     return group[np.argmax(np.einsum("gij,ij->g", group, R))]
 
 
-def _misfit(imu_R_cam, alignment: Alignment):
-    """How much the sum of squares, in units of the noise, grows when the mounting is imu_R_cam instead."""
-    turn = imu_R_cam @ alignment.imu_R_cam.T
-    bias = np.r_[np.zeros(3), alignment.gyro_bias]
-    without_bias = (alignment.predicted - bias).reshape(-1, 2, 3)
-    turned = np.matvec(turn, without_bias).reshape(-1, 6) + bias
-    cost = [np.minimum((alignment.measured - guess) ** 2 / alignment.variance, imu_alignment.CUT**2).sum()
-            for guess in (turned, alignment.predicted)]
-    return max(cost[0] - cost[1], 0.0)
-
-
 def _shrunk(deviation, covariance, prior):
     """The deviation, as far as it is known: what the drive hardly tells of (prior sigma) stays near zero."""
     prior = prior**2 * np.eye(len(deviation))
@@ -292,8 +281,13 @@ def _shrunk(deviation, covariance, prior):
 def _misalignment(drive, alignment):
     turn = se3.so3_log(alignment.imu_R_cam @ drive.camera.cam_T_imu[:3, :3])
     known = _shrunk(turn, alignment.covariance[ROTATION, ROTATION], prior=0.1)
-    p, angle = alignment.p_value(ROTATION, turn), float(np.linalg.norm(known))
-    if p < SIGNIFICANCE and angle > MIN_MISALIGNMENT:
+    angle = float(np.linalg.norm(known))
+    if angle <= MIN_MISALIGNMENT:
+        return
+    # Two tests, because a large angle that the drive hardly tells of is far from linear
+    p = max(alignment.p_value(ROTATION, turn),
+            float(chi2.sf(imu_alignment.misfit(alignment, drive.camera.imu_T_cam[:3, :3]), 3)))
+    if p < SIGNIFICANCE:
         yield Finding(
             "misalignment", np.degrees(known).tolist(), "deg", _chance(p),
             f"the extrinsics are rotated by {np.degrees(angle):.1f} deg against what cameras and IMU agree on "

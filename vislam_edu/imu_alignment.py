@@ -24,8 +24,8 @@ N_PARAMETERS = 11
 _ITERATIONS = 12
 _MIN_STEPS = 30
 _LEAST_NOISE = 1e-6  # m/s and rad/s: no sensor is perfect, and a zero has no logarithm
-# A lever arm that nothing tells of (no turns) stays near zero; 100 m do not pull on one that is told
-_PRIOR = np.diag([1e-9] * 3 + [1e-4] * 3 + [1e-9] * 5)
+# What nothing tells of (no turns, no speed) stays near zero, or one: 100 m and 0.5 do not pull on what is told
+_PRIOR = np.diag([1e-9] * 3 + [1e-4] * 3 + [1e-9] * 3 + [4.0] * 2)
 CUT = 4.0  # standard deviations: what lies beyond is a failure of tracker or IMU, not noise
 
 
@@ -40,6 +40,7 @@ class Alignment:
     imu_R_cam (3, 3) · camera_in_imu (3,) m · gyro_bias (3,) rad/s · speed_scale, gyro_scale : IMU over cameras ·
     covariance (11, 11) of [rotation vector rad (in the IMU frame), camera_in_imu, gyro_bias, speed_scale, gyro_scale] ·
     steps (n,) the steps used · measured, predicted (n, 6) IMU twists and what the cameras make of them ·
+    seen, seen_covariance (n, 6), (n, 6, 6) the cameras' twists in their own frame ·
     imu_sigma (6,) noise of the IMU twist that drives a step, m/s and rad/s · camera_variance (n, 6) that of the
     cameras' prediction.
     """
@@ -53,6 +54,8 @@ class Alignment:
     steps: np.ndarray
     measured: np.ndarray
     predicted: np.ndarray
+    seen: np.ndarray
+    seen_covariance: np.ndarray
     imu_sigma: np.ndarray
     camera_variance: np.ndarray
 
@@ -107,13 +110,25 @@ def align(drive, motions) -> Alignment:
     return _fit(steps, drive.step_twists[steps], motions.twists[steps], motions.twist_covariance[steps])
 
 
-def _fit(steps, measured, seen, covariance) -> Alignment:
-    """Gauss-Newton from a closed-form start.
+def misfit(alignment, imu_R_cam) -> float:
+    """How much the sum of squares, in units of the noise, grows when the mounting must be imu_R_cam (3, 3).
+
+    All else is fitted anew. Chi-square with 3 degrees of freedom where imu_R_cam is right.
+    """
+    bound = _fit(alignment.steps, alignment.measured, alignment.seen, alignment.seen_covariance, imu_R_cam)
+    cost = [np.minimum((fit.measured - fit.predicted) ** 2 / alignment.variance, CUT**2).sum()
+            for fit in (bound, alignment)]
+    return float(max(cost[0] - cost[1], 0.0))
+
+
+def _fit(steps, measured, seen, covariance, imu_R_cam=None) -> Alignment:
+    """Gauss-Newton from a closed-form start, or with the mounting held where it is given.
 
     Each number weighs by its own variance, the IMU's noise (one number per axis, estimated on the way) plus the
     cameras' in that step; what lies beyond four standard deviations is left out.
     """
-    R, p, b, scales = _start(measured, seen), np.zeros(3), np.zeros(3), np.ones(2)
+    R = _start(measured, seen) if imu_R_cam is None else imu_R_cam
+    p, b, scales = np.zeros(3), np.zeros(3), np.ones(2)
     for _ in range(_ITERATIONS):
         predicted, jacobian = _model(seen, R, p, b, scales)
         residual = measured - predicted
@@ -123,8 +138,10 @@ def _fit(steps, measured, seen, covariance) -> Alignment:
         weighted = jacobian * weight[..., None]
         information = np.einsum("kai,kaj->ij", weighted, jacobian, optimize=True) + _PRIOR
         gradient = np.einsum("kai,ka->i", weighted, residual)
-        gradient[LEVER_ARM] -= _PRIOR[LEVER_ARM, LEVER_ARM] @ p
-        delta = np.linalg.solve(information, gradient)
+        gradient -= _PRIOR @ np.concatenate([np.zeros(3), p, b, scales - 1])
+        free = slice(None) if imu_R_cam is None else slice(3, None)
+        delta = np.zeros(N_PARAMETERS)
+        delta[free] = np.linalg.solve(information[free, free], gradient[free])
         R = se3.so3_exp(delta[ROTATION]) @ R
         p, b, scales = p + delta[LEVER_ARM], b + delta[GYRO_BIAS], scales + delta[9:]
     predicted, jacobian = _model(seen, R, p, b, scales)
@@ -133,7 +150,8 @@ def _fit(steps, measured, seen, covariance) -> Alignment:
     score = np.einsum("kai,ka->ki", jacobian, (measured - predicted) * inlier / (sigma**2 + cameras))
     return Alignment(imu_R_cam=R, camera_in_imu=p, gyro_bias=b, speed_scale=float(scales[0]),
                      gyro_scale=float(scales[1]), covariance=_honest(np.linalg.inv(information), score, steps), steps=steps,
-                     measured=measured, predicted=predicted, imu_sigma=sigma, camera_variance=cameras)
+                     measured=measured, predicted=predicted, seen=seen, seen_covariance=covariance,
+                     imu_sigma=sigma, camera_variance=cameras)
 
 
 def _honest(covariance, score, steps):
@@ -202,8 +220,8 @@ OFFSETS = np.arange(-4, 5)
 class Timing:
     """How well IMU sample k fits the cameras' motion over step k + s, for the whole offsets s in `OFFSETS`.
 
-    log_likelihood (9,) of the cameras' motion against a constant one. camera_noise : how much each of them scatters
-    (variance) because the cameras' own noise meets the IMU's by chance, anew at every offset.
+    log_likelihood (9,), that of the best offset is 0. camera_noise : how much each of them scatters (variance) because
+    the cameras' own noise meets the IMU's by chance, anew at every offset.
     s = 0 is the reading "k" (the sample drives the step that follows it), s = -1 is "k+1"; "mean" has its peak in
     between. (Averaging two samples for it would halve their noise and win for that reason alone.)
     """
@@ -250,24 +268,33 @@ def timing(drive, motions) -> Timing:
     Uses the raw samples, `drive.imu_sample` does not matter. Raises TooFewSteps as `align` does.
     """
     steps = _enough_steps(motions)
-    steps = steps[(steps >= OFFSETS[-1]) & (steps - OFFSETS[0] < drive.n_frames)]
     seen, covariance = motions.twists[steps], motions.twist_covariance[steps]
-    fits = [_fit(steps, drive.twists[steps - offset], seen, covariance) for offset in OFFSETS]
-    best = min(fits, key=lambda fit: np.log(fit.variance).sum())
-    return Timing(
-        log_likelihood=np.array([_explained(fit, best.variance) for fit in fits]),
-        camera_noise=float((best.camera_variance * best.imu_sigma**2 / best.variance**2).sum()),
-    )
+    residuals, cameras, fits = [], [], []
+    for offset in OFFSETS:
+        sample = steps - offset
+        there = (sample >= 0) & (sample < drive.n_frames)
+        fit = _fit(steps[there], drive.twists[sample[there]], seen[there], covariance[there])
+        fits.append(fit)
+        for arrays, values in ((residuals, fit.measured - fit.predicted), (cameras, fit.camera_variance)):
+            arrays.append(np.full((drive.n_frames, 6), np.nan))
+            arrays[-1][sample[there]] = values
+    quietest = min(fits, key=lambda fit: np.log(fit.imu_sigma).sum())
+    noise = quietest.imu_sigma**2
 
+    def gain(a, b):
+        """Log likelihood of offset b less that of a, over the IMU samples that both have a step for.
 
-def _explained(fit, variance):
-    """Log likelihood of the measured twists less that of constant ones.
+        Over the same samples, because the noise (and the bends) of those that only one has would count for much.
+        """
+        variance = noise + (cameras[a] + cameras[b]) / 2
+        cost_a, cost_b = (np.minimum(residuals[i] ** 2 / variance, CUT**2) for i in (a, b))
+        return 0.5 * np.nansum(cost_a - cost_b)
 
-    The difference, because other offsets take in other samples at both ends, whose noise alone would count for much.
-    """
-    constant = (fit.measured / variance).sum(axis=0) / (1 / variance).sum(axis=0)
-    unexplained = (fit.measured - fit.predicted) ** 2 / variance
-    of_constant = (fit.measured - constant) ** 2 / variance
-    outlier = unexplained > CUT**2
-    gained = np.where(outlier, np.minimum(of_constant, CUT**2) - CUT**2, of_constant - unexplained)
-    return 0.5 * gained.sum()
+    best = int(np.flatnonzero(OFFSETS == 0)[0])
+    for _ in range(len(OFFSETS)):
+        log_likelihood = np.array([gain(best, i) for i in range(len(OFFSETS))])
+        if log_likelihood.max() <= 0:
+            break
+        best = int(np.argmax(log_likelihood))
+    camera_noise = (quietest.camera_variance * noise / quietest.variance**2).sum()
+    return Timing(log_likelihood=log_likelihood - log_likelihood.max(), camera_noise=float(camera_noise))
