@@ -1,0 +1,14 @@
+"""The checks that a student's own functions are put to.
+
+    from vislam_edu.exercises import check, hint, solution
+
+    check.so3_hat(so3_hat)
+
+One module per chapter holds its exercises: statement, inputs, hints, and the wrong versions that people write.
+"""
+
+from . import chapter01, chapter02, chapter03, chapter04, chapter05, chapter06, chapter07  # noqa: F401 - register
+from .check import check, hint, solution
+from .exercise import EXERCISES
+
+__all__ = ["EXERCISES", "check", "hint", "solution"]

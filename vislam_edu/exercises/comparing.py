@@ -1,0 +1,98 @@
+"""Are two results the same, and if not, how to say so in numbers that read the same on every machine."""
+
+import numpy as np
+
+from .exercise import short
+
+ROUGH = 1e-4  # relative tolerance where the answer came in float32, which holds 7 digits
+_SHOWN = 16  # a matrix with more entries is not printed whole
+
+
+def differs(exercise, outcome, expected) -> str:
+    """Why an outcome is not the expected list of arrays, in words; "" if it is."""
+    names = exercise.outputs or ("",)
+    for name, came, should in zip(names, outcome.values, expected):
+        if came.shape != should.shape:
+            return _shapes(exercise, outcome, name, came, should)
+    tolerance = exercise.tolerance if outcome.precise else max(exercise.tolerance, ROUGH)
+    compared = zip(names, canonical(exercise, outcome.values), canonical(exercise, expected))
+    return next((_numbers(name, came, should) for name, came, should in compared
+                 if not close(came, should, tolerance)), "")
+
+
+def canonical(exercise, values):
+    """What of a result is compared: all of it, unless the exercise leaves a part to taste."""
+    return exercise.canonical(values) if exercise.canonical else values
+
+
+def close(came, should, tolerance) -> bool:
+    """Same shape, and every entry within tolerance times the largest; NaN and infinity are alike."""
+    if came.shape != should.shape:
+        return False
+    finite = np.isfinite(should)
+    if not np.array_equal(finite, np.isfinite(came)):
+        return False
+    scale = np.abs(should[finite]).max(initial=0.0) or 1.0
+    return bool(np.all(np.abs(came[finite] - should[finite]) <= tolerance * scale))
+
+
+def _shapes(exercise, outcome, name, came, should) -> str:
+    text = f"{name or 'the result'} has shape {came.shape}; it should be {should.shape}"
+    if came.shape == should.shape[::-1] and close(came.T, should, exercise.tolerance):
+        return text + ". The numbers are right, but transposed."
+    if came.size == should.size and close(came.reshape(should.shape), should, exercise.tolerance):
+        return text + ". The numbers are right: a column where a flat vector is wanted, or the reverse?"
+    if came.ndim > should.ndim:
+        return text + ". Has a column (n, 1) met a row (n,) and spread to a table? A flat vector is (n,)."
+    return text
+
+
+def _numbers(name, came, should) -> str:
+    of = f" of {name}" if name else ""
+    if not np.isfinite(came).all():
+        where = tuple(int(i) for i in np.argwhere(~np.isfinite(came))[0])
+        worst = f"not a finite number at {list(where)}{of}" if where else f"not a finite number{of}"
+    else:
+        error = np.abs(came - should)
+        where = tuple(int(i) for i in np.unravel_index(np.argmax(error), error.shape))
+        worst = f"largest difference{of} {short(error[where])}" + (f", at {list(where)}" if where else "")
+        if should.size > _SHOWN:
+            worst += f": {number(came[where])} where {number(should[where])} should be"
+    if should.size > _SHOWN:
+        return worst
+    return f"came out{of}\n{block(came)}\nshould be\n{block(should)}\n{worst}"
+
+
+# --- numbers as text --------------------------------------------------------------------------------------
+
+
+def number(value) -> str:
+    return f"{value + 0.0:.4g}"
+
+
+def block(values) -> str:
+    """An array, indented, four digits of its largest entry: what rounding has left behind shows as 0."""
+    finite = np.abs(values[np.isfinite(values)])
+    largest = finite.max(initial=0.0)
+    if largest > 0:
+        step = 10.0 ** (np.floor(np.log10(largest)) - 3)
+        values = np.round(values / step) * step
+    texts = np.vectorize(number, otypes=[object])(values)
+    if values.ndim < 2:
+        return "  " + (f"[{', '.join(texts)}]" if values.ndim else str(texts))
+    width = max((len(text) for text in texts.flat), default=0)
+    rows = texts.reshape(-1, values.shape[-1])
+    return "\n".join("  [" + "  ".join(text.rjust(width) for text in row) + "]" for row in rows)
+
+
+def argument(name, value) -> str:
+    """One argument of a call: short ones whole, long ones by their shape."""
+    if isinstance(value, (bool, int, float)):
+        return f"  {name} = {value:.4g}"
+    if not isinstance(value, np.ndarray):
+        return f"  {name}: {type(value).__name__}"
+    if value.ndim == 1 and value.size <= 6:
+        return f"  {name} = {block(value.astype(float)).strip()}"
+    if value.ndim == 2 and 0 < value.size <= _SHOWN:
+        return f"  {name} =\n" + "\n".join("  " + line for line in block(value.astype(float)).splitlines())
+    return f"  {name}: array of shape {value.shape}"

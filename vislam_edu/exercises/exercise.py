@@ -1,0 +1,121 @@
+"""What an exercise is: a function to write, the inputs it is tried on, and the wrong versions people write.
+
+    @exercise(chapter=1, cases=some_generator, hints=("first", "second"), shows=[se3.so3_hat])
+    def so3_hat(omega):
+        '''Statement: what to write, shapes, frames, units.'''
+        return se3.so3_hat(omega)
+
+    @so3_hat.mistake("transposed", "What the student is told.")
+    def _(omega):
+        return -se3.so3_hat(omega)
+
+The decorated function is the reference; its signature and docstring become the stub that the student fills in.
+"""
+
+import inspect
+import textwrap
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from difflib import get_close_matches
+
+import numpy as np
+
+EXERCISES: dict[str, "Exercise"] = {}  # by name, in the order of the chapters
+
+SEED = 276
+
+_STUB = '''def {name}{signature}:
+    """{doc}
+
+    Checked to {tolerance} of the largest entry.
+    """
+    # BEGIN SOLUTION
+    raise NotImplementedError
+    # END SOLUTION
+'''
+
+
+@dataclass(frozen=True)
+class Mistake:
+    """One wrong version: its name in the museum, what the student is told, and the function itself."""
+
+    name: str
+    hint: str
+    function: Callable
+
+
+@dataclass(frozen=True, eq=False)
+class Exercise:
+    """One exercise; see the module's docstring.
+
+    reference : the right answer. cases : a function of a random generator that yields (label, arguments).
+    hints : from a nudge to nearly the answer. shows : the package's functions that `solution` prints.
+    outputs : names of the results where the answer returns several, else empty.
+    canonical : what to compare, as a function of the list of results; None compares them as they are.
+    tolerance : largest error, relative to the largest entry of the result.
+    """
+
+    chapter: int
+    reference: Callable
+    cases: Callable
+    hints: tuple[str, ...]
+    shows: tuple[Callable, ...]
+    outputs: tuple[str, ...]
+    canonical: Callable | None
+    tolerance: float
+    mistakes: list[Mistake] = field(default_factory=list)
+
+    @property
+    def name(self) -> str:
+        return self.reference.__name__
+
+    @property
+    def arguments(self) -> list[str]:
+        return list(inspect.signature(self.reference).parameters)
+
+    @property
+    def statement(self) -> str:
+        return inspect.getdoc(self.reference)
+
+    @property
+    def stub(self) -> str:
+        """The cell that the student fills in. The marks between which the answer goes are nbgrader's."""
+        return _STUB.format(name=self.name, signature=inspect.signature(self.reference),
+                            doc=textwrap.indent(self.statement, "    ").lstrip(), tolerance=short(self.tolerance))
+
+    def inputs(self) -> list:
+        """The (label, arguments) the answer is tried on: always the same, freshly made."""
+        return list(self.cases(np.random.default_rng(SEED)))
+
+    def mistake(self, name: str, hint: str):
+        """Decorator that hangs a wrong version in the museum."""
+        def hang(function):
+            self.mistakes.append(Mistake(name, " ".join(hint.split()), function))
+            return function
+        return hang
+
+
+def exercise(*, chapter, cases, hints, shows, outputs=(), canonical=None, tolerance=1e-8):
+    """Decorator that makes an exercise of its reference answer and enters it under the function's name."""
+    def enter(reference):
+        entry = Exercise(chapter, reference, cases, tuple(" ".join(hint.split()) for hint in hints), tuple(shows),
+                         tuple(outputs), canonical, tolerance)
+        if entry.name in EXERCISES:
+            raise ValueError(f"there are two exercises called {entry.name}")
+        EXERCISES[entry.name] = entry
+        return entry
+    return enter
+
+
+def find(name) -> Exercise:
+    """The exercise of that name. Raises ValueError, naming those that sound alike."""
+    try:
+        return EXERCISES[name]
+    except KeyError:
+        close = get_close_matches(str(name), EXERCISES, n=3, cutoff=0.4) or list(EXERCISES)
+        raise ValueError(f"there is no exercise {name!r}; did you mean {' or '.join(close)}?") from None
+
+
+def short(number) -> str:
+    """1e-8 rather than 1e-08."""
+    return f"{number:.0e}".replace("e-0", "e-").replace("e+0", "e+")

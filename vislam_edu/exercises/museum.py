@@ -1,0 +1,56 @@
+"""The mistake museum: the wrong versions that people really write, and how one is recognised.
+
+A wrong answer is held against each wrong version of its exercise on the same inputs. The one that gives the same
+numbers made, in all likelihood, the same mistake.
+"""
+
+import textwrap
+
+import numpy as np
+
+from .comparing import ROUGH, canonical, close
+from .exercise import EXERCISES
+from .running import Outcome, _outcome
+
+
+def recognise(exercise, cases, outcomes, failing):
+    """The mistake behind an answer's outcomes, and whether it explains every input: (Mistake or None, bool).
+
+    failing : indices of the inputs that came out wrong. A mistake that explains all inputs wins; else the one
+    that explains most of the failing ones.
+    """
+    best, most = None, 0
+    for mistake in exercise.mistakes:
+        with np.errstate(all="ignore"):
+            same = [_same(exercise, outcome, _outcome(exercise, mistake.function, arguments))
+                    for outcome, (_, arguments) in zip(outcomes, cases)]
+        if all(same):
+            return mistake, True
+        explained = sum(same[i] for i in failing)
+        if explained > most:
+            best, most = mistake, explained
+    return best, False
+
+
+def _same(exercise, outcome, piece: Outcome) -> bool:
+    if isinstance(outcome.error, ZeroDivisionError):  # Python's numbers raise where numpy's turn to NaN
+        return piece.values is not None and not all(np.isfinite(value).all() for value in piece.values)
+    if outcome.values is None or piece.values is None:
+        return type(outcome.error) is type(piece.error) and outcome.values is piece.values
+    if any(a.shape != b.shape for a, b in zip(outcome.values, piece.values)):
+        return False
+    tolerance = exercise.tolerance if outcome.precise else ROUGH
+    return all(close(a, b, tolerance) for a, b in zip(canonical(exercise, outcome.values),
+                                                      canonical(exercise, piece.values)))
+
+
+def table(width=110) -> str:
+    """Every exercise, its mistakes and what the student is told, as text."""
+    lines = []
+    for exercise in EXERCISES.values():
+        lines.append(f"{exercise.chapter:02d}  {exercise.name}")
+        for mistake in exercise.mistakes:
+            lines.append(f"      {mistake.name}")
+            lines += textwrap.wrap(mistake.hint, width, initial_indent=" " * 10, subsequent_indent=" " * 10)
+    count = sum(len(exercise.mistakes) for exercise in EXERCISES.values())
+    return "\n".join([*lines, f"{len(EXERCISES)} exercises, {count} mistakes"])

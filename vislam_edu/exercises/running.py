@@ -1,0 +1,143 @@
+"""Calling a function that someone else wrote: copies in, arrays out, a time limit, and errors told as theirs."""
+
+import ctypes
+import linecache
+import re
+import sysconfig
+import threading
+import traceback
+import warnings
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+LIMIT = 5.0  # s, for all inputs of one check together; a right answer takes milliseconds
+_GRACE = 0.2  # s, for a stopped answer to end
+
+_PACKAGE = Path(__file__).resolve().parents[1]
+_NOT_THEIRS = [str(_PACKAGE), *{sysconfig.get_path(key) for key in ("stdlib", "purelib", "platlib")}, "<frozen"]
+_ADDRESS = re.compile(r"0x[0-9a-fA-F]+")
+
+
+class Unreadable(Exception):
+    """An answer that is no array of numbers, or not the promised number of arrays."""
+
+
+class _Stop(BaseException):
+    """Thrown into an answer that takes too long. No Exception: `except Exception` must not catch it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """What came of one input: either `values`, or the `error` that was raised.
+
+    blank : the function is a stub (it raised NotImplementedError, or returned None or `...`).
+    changed : names of the arguments that the call changed. precise : no result was of less than 64 bits.
+    """
+
+    values: list | None = None
+    error: BaseException | None = None
+    blank: bool = False
+    changed: tuple[str, ...] = ()
+    precise: bool = True
+
+
+def answers(exercise, function, cases, limit=LIMIT) -> tuple[list[Outcome], str]:
+    """Put a function to every case. Returns the outcomes so far and, if time ran out, what became of it.
+
+    The second result is "" (all done), "stopped", or "running" where the answer could not be stopped. Works in
+    the main thread of a notebook and on every system: the answer runs in a thread of its own, into which an
+    exception is thrown when the time is up. Code that never returns to Python (one endless numpy call) cannot
+    be reached that way.
+    """
+    outcomes: list[Outcome] = []
+
+    def work():
+        try:
+            with np.errstate(all="ignore"):
+                for _, arguments in cases:
+                    outcomes.append(_outcome(exercise, function, arguments))
+                    if outcomes[-1].blank:
+                        return
+        except _Stop:
+            pass
+
+    thread = threading.Thread(target=work, daemon=True)
+    with warnings.catch_warnings():  # a warning would show a path that differs from run to run
+        warnings.simplefilter("ignore")
+        try:
+            thread.start()
+            thread.join(limit)
+        finally:  # also when the student interrupts the kernel
+            ended = _stop(thread) if thread.is_alive() else ""
+    return outcomes[:len(cases)], ended if len(outcomes) < len(cases) else ""
+
+
+def _stop(thread) -> str:
+    for _ in range(3):  # an answer with a bare `except:` in its loop takes more than one
+        ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(thread.ident), ctypes.py_object(_Stop))
+        thread.join(_GRACE)
+        if not thread.is_alive():
+            return "stopped"
+    return "running"
+
+
+def _outcome(exercise, function, arguments) -> Outcome:
+    given = [copied(argument) for argument in arguments]
+    try:
+        result = function(*given)
+    except NotImplementedError:
+        return Outcome(blank=True)
+    except _Stop:
+        raise
+    except BaseException as error:  # SystemExit included: an answer must not end the kernel
+        return Outcome(error=error)
+    if result is None or result is ... or result is NotImplemented:
+        return Outcome(blank=True)
+    changed = tuple(name for name, before, after in zip(exercise.arguments, arguments, given)
+                    if isinstance(before, np.ndarray) and not np.array_equal(before, after, equal_nan=True))
+    try:
+        values, precise = arrays(result, exercise.outputs)
+    except Unreadable as error:
+        return Outcome(error=error, changed=changed)
+    return Outcome(values, changed=changed, precise=precise)
+
+
+def copied(argument):
+    return argument.copy() if isinstance(argument, np.ndarray) else argument
+
+
+def arrays(result, names) -> tuple[list, bool]:
+    """A result as a list of float arrays, and whether all of them came with 64 bits. Raises Unreadable."""
+    if not names:
+        parts = [result]
+    elif isinstance(result, (tuple, list)) and len(result) == len(names):
+        parts = list(result)
+    else:
+        got = f"{len(result)} results" if isinstance(result, (tuple, list)) else f"one {type(result).__name__}"
+        raise Unreadable(f"it must return {len(names)} results, {', '.join(names)}; it returned {got}")
+    values, precise = [], True
+    for part, name in zip(parts, names or ["the result"]):
+        try:
+            array = np.asarray(part)
+        except ValueError:
+            raise Unreadable(f"{name} is a list whose rows have different lengths") from None
+        if array.dtype.kind not in "biuf":
+            raise Unreadable(f"{name} must be an array of real numbers, not {type(part).__name__} of {array.dtype}")
+        precise &= array.dtype.kind != "f" or array.dtype.itemsize >= 8
+        values.append(np.array(array, dtype=float))
+    return values, precise
+
+
+def told(error) -> str:
+    """An exception as its author needs it: their own lines, innermost last, and the message."""
+    if isinstance(error, Unreadable):
+        return str(error)
+    lines = []
+    for frame in traceback.extract_tb(error.__traceback__):
+        if not frame.filename.startswith(tuple(_NOT_THEIRS)):
+            code = linecache.getline(frame.filename, frame.lineno or 0).strip()
+            lines.append(f"  line {frame.lineno} in {frame.name}:  {code}")
+    message = " ".join(_ADDRESS.sub("0x...", str(error)).split())
+    return "\n".join([*lines[-4:], f"  {type(error).__name__}: {message}"])
