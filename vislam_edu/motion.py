@@ -51,6 +51,13 @@ def start(noise, world_T_imu=None) -> Belief:
     return Belief(T, np.empty((0, 3)), np.empty(0, dtype=int), np.array(noise.initial_pose_covariance))
 
 
+def retract(belief, delta, covariance, error_state) -> Belief:
+    """The belief moved by an estimated error delta (3n+6+t,), with its new covariance."""
+    end = belief.pose.stop
+    T, landmarks = error_state.retract(belief.world_T_imu, belief.landmarks, delta[:end])
+    return Belief(T, landmarks, belief.ids, covariance, belief.motion + delta[end:])
+
+
 @dataclass(frozen=True, eq=False)
 class Transition:
     """One prediction, linearised: error' = F error + N noise, landmarks first, then the tail [pose, motion].
@@ -85,18 +92,20 @@ def carry(belief, transition) -> Belief:
     """
     n = 3 * len(belief.landmarks)
     P = belief.covariance.copy()
-    tail = P[n:].copy()
+    cross, tail = P[:n, n:], P[n:, n:].copy()
     if transition.F_landmarks is not None:
-        G = transition.F_landmarks.reshape(n, -1)
-        P[:n] += G @ tail
-        P[:n, :n] += P[:n, n:] @ G.T
-    P[:n, n:] = P[:n, n:] @ transition.F_tail.T
+        G = transition.F_landmarks.reshape(n, len(tail))
+        X = (cross + G @ tail / 2) @ G.T
+        P[:n, :n] += X + X.T
+        cross = cross + G @ tail
+    P[:n, n:] = cross @ transition.F_tail.T
     P[n:, :n] = P[:n, n:].T
-    P[n:, n:] = symmetric(transition.F_tail @ tail[:, n:] @ transition.F_tail.T)
+    P[n:, n:] = symmetric(transition.F_tail @ tail @ transition.F_tail.T)
+    N = transition.N_tail
     if transition.N_landmarks is None:
-        P[n:, n:] += symmetric(transition.N_tail @ transition.Q @ transition.N_tail.T)
+        P[n:, n:] += symmetric(N @ transition.Q @ N.T)
     else:
-        N = np.concatenate([transition.N_landmarks.reshape(n, -1), transition.N_tail])
+        N = np.concatenate([transition.N_landmarks.reshape(n, len(transition.Q)), N])
         P += symmetric(N @ transition.Q @ N.T)
     return Belief(transition.world_T_imu, belief.landmarks, belief.ids, P, transition.motion)
 
@@ -114,6 +123,11 @@ class ImuDriven:
         self.increments = se3.exp(taus * drive.step_twists)
         self.body_noise = taus[..., None] * se3.right_jacobian(taus * drive.step_twists)
         self.Q = noise.twist_covariance
+        self.noise = noise
+
+    def start(self, world_T_imu=None) -> Belief:
+        """The belief at frame 0: the pose alone."""
+        return start(self.noise, world_T_imu)
 
     def transition(self, belief, k) -> Transition:
         """From frame k to frame k + 1."""
@@ -125,3 +139,58 @@ class ImuDriven:
     def predict(self, belief, k) -> Belief:
         """The belief at frame k + 1 before the cameras have spoken."""
         return carry(belief, self.transition(belief, k))
+
+
+class TwistAndBias:
+    """A motion model fit for a noisy IMU: the car's twist and the gyro's bias are estimated, the IMU measures them.
+
+    A car cannot change its speed by 0.5 m/s from one frame to the next, but one sample of its IMU can be that wrong. So
+    the twist is a state, a random walk; the IMU is a noisy measurement of twist + bias; and the pose moves along the
+    estimated twist. Nine states join the pose block: motion = [v, omega, gyro bias].
+
+    drive : Drive. noise : Noise, its sigmas those of one IMU sample. error_state : see `error_state.py`.
+    walk_v, walk_omega : m/s and rad/s per frame, how much the twist may change. walk_bias : rad/s per frame.
+    Source: Barfoot, State Estimation for Robotics, section 3.4 (white noise on acceleration as a motion prior).
+    """
+
+    start_sigma = np.array([30.0] * 3 + [1.0] * 3 + [0.02] * 3)  # m/s, rad/s, rad/s: a car, before any measurement
+
+    def __init__(self, drive, noise, error_state, walk_v=0.2, walk_omega=0.03, walk_bias=1e-5):
+        self.error_state, self.noise = error_state, noise
+        self.taus, self.samples = drive.taus, drive.step_twists
+        self.walk = np.diag(np.square([walk_v] * 3 + [walk_omega] * 3 + [walk_bias] * 3))
+        self.H = np.hstack([np.eye(6), np.eye(6, 3, -3)])  # one IMU sample = twist + [0, bias]
+
+    def start(self, world_T_imu=None) -> Belief:
+        """The belief at frame 0: the pose, and a twist of which nothing is known yet."""
+        pose = start(self.noise, world_T_imu)
+        P = np.zeros((15, 15))
+        P[:6, :6], P[6:, 6:] = pose.covariance, np.diag(self.start_sigma**2)
+        return Belief(pose.world_T_imu, pose.landmarks, pose.ids, P, np.zeros(9))
+
+    def measure_imu(self, belief, k) -> Belief:
+        """The belief after the twist has walked one frame and the IMU sample of step k -> k + 1 has been read."""
+        P = belief.covariance.copy()
+        P[-9:, -9:] += self.walk
+        HP = self.H @ P[-9:]
+        S = HP[:, -9:] @ self.H.T + self.noise.twist_covariance
+        Y = np.linalg.solve(np.linalg.cholesky(S), np.column_stack([HP, self.samples[k] - self.H @ belief.motion]))
+        return retract(belief, Y[:, :-1].T @ Y[:, -1], P - Y[:, :-1].T @ Y[:, :-1], self.error_state)
+
+    def transition(self, belief, k) -> Transition:
+        """From frame k to frame k + 1 along the estimated twist."""
+        tau, twist = self.taus[k], belief.motion[:6]
+        increment = se3.exp(tau * twist)
+        after = belief.world_T_imu @ increment
+        F, B = self.error_state.pose_transition(after, increment, tau * se3.right_jacobian(tau * twist))
+        F_tail = np.eye(15)
+        F_tail[:6, :6], F_tail[:6, 6:12] = F, B
+        moved = self.error_state.landmark_transition(belief.landmarks, B)
+        if moved is not None:
+            moved = np.pad(moved, ((0, 0), (0, 0), (6, 3)))
+        return Transition(after, belief.motion, F_tail, moved, np.zeros((15, 0)), None, np.zeros((0, 0)))
+
+    def predict(self, belief, k) -> Belief:
+        """The belief at frame k + 1 before the cameras have spoken."""
+        told = self.measure_imu(belief, k)
+        return carry(told, self.transition(told, k))

@@ -116,14 +116,7 @@ def update(prior, ids, pixels, sensors):
     right[:, :-1], right[:, -1] = HP, reduced
     Y = solve_triangular(L, right, lower=True, overwrite_b=True, check_finite=False)
     Y, y = Y[:, :-1], Y[:, -1]
-    return retract(prior, Y.T @ y, prior.covariance - Y.T @ Y, sensors.error_state), innovation
-
-
-def retract(belief, delta, covariance, error_state) -> Belief:
-    """The belief moved by an estimated error delta (3n+6+t,), with its new covariance."""
-    end = belief.pose.stop
-    T, landmarks = error_state.retract(belief.world_T_imu, belief.landmarks, delta[:end])
-    return Belief(T, landmarks, belief.ids, covariance, belief.motion + delta[end:])
+    return motion.retract(prior, Y.T @ y, prior.covariance - Y.T @ Y, sensors.error_state), innovation
 
 
 def select(belief, keep) -> Belief:
@@ -238,14 +231,15 @@ def never(belief, ids):
     return np.ones(len(belief.ids), dtype=bool)
 
 
-def run(drive, noise, error_state=None, *, measure=correlated, retire=out_of_sight, gate=0.99, min_disparity=1.0,
-        world_T_imu=None, after=None):
+def run(drive, noise, error_state=None, *, motion_model=motion.ImuDriven, measure=correlated, retire=out_of_sight,
+        gate=0.99, min_disparity=1.0, world_T_imu=None, after=None):
     """The joint filter over a drive: yields one `Step` per frame, its beliefs `Belief`s.
 
     drive : Drive. noise : Noise. error_state : `RightPerturbation()` (the report's, the default) or another.
-    measure : what a frame does, `correlated` or `as_report`. retire : which landmarks leave the state,
-    `out_of_sight` or `never`. gate : probability that a good measurement passes, 1 for no gate.
-    min_disparity : px, below it a landmark waits. world_T_imu : (4, 4) pose at frame 0, the identity by default.
+    motion_model : `motion.ImuDriven` (the report's) or `motion.TwistAndBias`. measure : what a frame does,
+    `correlated` or `as_report`. retire : which landmarks leave the state, `out_of_sight` or `never`.
+    gate : probability that a good measurement passes, 1 for no gate. min_disparity : px, below it a landmark waits.
+    world_T_imu : (4, 4) pose at frame 0, the identity by default.
     after : a Step of an earlier run with the same arguments, to go on from; none: from the beginning.
     Raises ValueError for a gate outside (0, 1] or a negative disparity.
     Source: report section 3.3.2.
@@ -254,10 +248,10 @@ def run(drive, noise, error_state=None, *, measure=correlated, retire=out_of_sig
         raise ValueError(f"min_disparity must be >= 0 px, got {min_disparity!r}")
     error_state = error_state or RightPerturbation()
     sensors = Sensors(drive.camera, noise, error_state, kalman.gate_threshold(gate), min_disparity)
-    model = motion.ImuDriven(drive, noise, error_state)
+    model = motion_model(drive, noise, error_state)
     posterior = after and after.posterior
     for k in range(after.k + 1 if after else 0, drive.n_frames):
-        before = motion.start(noise, world_T_imu) if posterior is None else model.predict(posterior, k - 1)
+        before = model.start(world_T_imu) if posterior is None else model.predict(posterior, k - 1)
         ids, pixels = drive.observed(k)
         keep = retire(before, ids)
         prior, posterior, innovation = measure(select(before, keep), ids, pixels, sensors)
