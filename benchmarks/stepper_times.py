@@ -1,7 +1,7 @@
 """Time the kernel needs for one picture of each chapter, ms: python benchmarks/stepper_times.py
 
-CPU time is what the picture costs; wall time also counts whatever else the machine is doing. The first picture, which
-draws all that stands still, is not counted: it is not waited for when stepping.
+CPU time is what the picture costs; wall time also counts whatever else the machine is doing. The first
+picture, which draws all that stands still, is not counted: it is not waited for when stepping.
 """
 
 import os

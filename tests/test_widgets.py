@@ -12,17 +12,19 @@ from vislam_edu import kalman, style
 from vislam_edu.pictures.canvas import Number, Picture, StepPicture, Switch
 from vislam_edu.widgets import SPEEDS, Panel, Stepper
 
+CONTROLS = {"height": Number("height, m", 1.0, 0.0, 4.0, 0.5), "filled": Switch("filled", False)}
+
 
 class Bar(Picture):
     """A line as high as its control says."""
 
     name = "bar"
     size = (2, 1)
-    controls = {"height": Number("height, m", 1.0, 0.0, 4.0, 0.5), "filled": Switch("filled", False)}
+    controls = CONTROLS
 
     def build(self):
         axes = self.figure.add_axes((0.1, 0.1, 0.8, 0.8), xlim=(0, 1), ylim=(0, 4))
-        (self.line,) = axes.plot([0.2, 0.8], [0, 0], "k", lw=3)  # off the frame, which a whole redraw paints last
+        (self.line,) = axes.plot([0.2, 0.8], [0, 0], "k", lw=3)  # clear of the frame
         self.moves(self.line)
 
     def draw(self, height, filled):
@@ -124,17 +126,24 @@ def test_buttons_walk_and_stop_at_the_ends(stepper):
         stepper.buttons[name].click()
         return stepper.slider.value
 
-    assert [press(b) for b in ("back", "forward", "forward", "back", "last", "forward", "back", "first")] == [
-        0, 1, 2, 1, 9, 9, 8, 0]
+    assert [
+        press(b) for b in ("back", "forward", "forward", "back", "last", "back", "forward", "forward", "first")
+    ] == [0, 1, 2, 1, 9, 8, 9, 9, 0]
     assert stepper.picture.dot.get_xdata()[0] == 0
 
 
 def test_buttons_and_play_can_be_reached_and_say_what_they_do(stepper):
     assert all(button.tooltip and button.tabbable is not False for button in stepper.buttons.values())
     bar = stepper.children[0].children
-    assert [type(child) for child in bar] == [ipywidgets.Button, ipywidgets.Button, ipywidgets.Play,
-                                             ipywidgets.Button, ipywidgets.Button, ipywidgets.IntSlider,
-                                             ipywidgets.Dropdown]
+    assert [type(child) for child in bar] == [
+        ipywidgets.Button,
+        ipywidgets.Button,
+        ipywidgets.Play,
+        ipywidgets.Button,
+        ipywidgets.Button,
+        ipywidgets.IntSlider,
+        ipywidgets.Dropdown,
+    ]
 
 
 def test_speed_sets_the_interval_of_play(stepper):
@@ -165,7 +174,7 @@ def test_empty_history_is_refused():
         Half([])
 
 
-@pytest.mark.parametrize("value, step", [(5.0, 0.1), (0.5, 0.0), (np.nan, 0.1)])
+@pytest.mark.parametrize(("value", "step"), [(5.0, 0.1), (0.5, 0.0), (np.nan, 0.1)])
 def test_number_outside_its_range_is_refused(value, step):
     with pytest.raises(ValueError, match="depth"):
         Number("depth", value, 0.0, 1.0, step)

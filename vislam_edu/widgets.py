@@ -1,8 +1,8 @@
 """Controls for the pictures: a `Panel` of sliders and switches, and a `Stepper` through a filter's history.
 
-Only ipywidgets' core widgets, and the picture as PNG in an `Image`: nothing to install in the browser, and the widget
-runs without one, so that a test or a cell may say `stepper.slider.value = 7` and look at the picture. Where there is no
-kernel (a page on the web, a notebook that has not been run) the last picture stands in its place.
+Only ipywidgets' core widgets, and the picture as PNG in an `Image`: nothing to install in the browser, and
+the widget runs without one, so that a test or a cell may say `stepper.slider.value = 7` and look at the picture.
+Where there is no kernel (a page on the web, a notebook that has not been run) the last picture stands in its place.
 """
 
 import html
@@ -30,8 +30,11 @@ class Panel(ipywidgets.VBox):
         self.text = ipywidgets.HTML(layout=ipywidgets.Layout(width=width, max_width="100%"))
         for control in self.controls.values():
             control.observe(self._show, names="value")
-        super().__init__([*self._bars(), self.image, self.text],
-                         layout=ipywidgets.Layout(align_items="flex-start"), **layout)
+        super().__init__(
+            [*self._bars(), self.image, self.text],
+            layout=ipywidgets.Layout(align_items="flex-start"),
+            **layout,
+        )
         self._show()
 
     @property
@@ -41,8 +44,7 @@ class Panel(ipywidgets.VBox):
 
     def _bars(self):
         """The rows of controls above the picture."""
-        rows = ipywidgets.Layout(flex_flow="row wrap", max_width=f"{int(self.picture.figure.bbox.width)}px")
-        return [ipywidgets.Box(list(self.controls.values()), layout=rows)] if self.controls else []
+        return [_row(list(self.controls.values()))] if self.controls else []
 
     def _show(self, change=None):
         self.image.value = self.picture.png(**self.state)
@@ -64,8 +66,8 @@ class Panel(ipywidgets.VBox):
 class Stepper(Panel):
     """A filter's history in half-steps, first what it predicts, then what it believes after the update.
 
-    Buttons: first, back, play, forward, last. The arrow keys move the slider when it has the focus; Tab reaches the
-    buttons and Enter presses them.
+    Buttons: first, back, play, forward, last. The arrow keys move the slider when it has the focus; Tab
+    reaches the buttons and Enter presses them.
 
     picture : `pictures.canvas.StepPicture`. start : the half-step to begin with.
     slider, play, speed, buttons : the controls; `buttons` is a dict of first, back, forward, last.
@@ -73,16 +75,33 @@ class Stepper(Panel):
 
     def __init__(self, picture, start=0):
         last = picture.n - 1
-        self.slider = ipywidgets.IntSlider(start, 0, last, description="half-step",
-                                           layout=ipywidgets.Layout(width="380px"))
-        self.play = ipywidgets.Play(value=start, min=0, max=last, interval=SPEEDS["normal"], show_repeat=False)
-        self.speed = ipywidgets.Dropdown(options=SPEEDS, value=SPEEDS["normal"], description="speed",
-                                         layout=ipywidgets.Layout(width="170px"))
-        self.buttons = {name: ipywidgets.Button(icon=icon, tooltip=tooltip, layout=ipywidgets.Layout(width="40px"))
-                        for name, icon, tooltip in (("first", "fast-backward", "first half-step"),
-                                                    ("back", "step-backward", "one half-step back"),
-                                                    ("forward", "step-forward", "one half-step forward"),
-                                                    ("last", "fast-forward", "last half-step"))}
+        self.slider = ipywidgets.IntSlider(
+            start, 0, last, description="half-step", layout=ipywidgets.Layout(width="340px")
+        )
+        self.play = ipywidgets.Play(
+            value=start,
+            min=0,
+            max=last,
+            interval=SPEEDS["normal"],
+            show_repeat=False,
+            tooltip="play or pause; the square stops at the first half-step",
+        )
+        self.speed = ipywidgets.Dropdown(
+            options=SPEEDS,
+            value=SPEEDS["normal"],
+            description="speed",
+            style={"description_width": "50px"},
+            layout=ipywidgets.Layout(width="140px"),
+        )
+        self.buttons = {
+            name: ipywidgets.Button(icon=icon, tooltip=tooltip, layout=ipywidgets.Layout(width="40px"))
+            for name, icon, tooltip in (
+                ("first", "fast-backward", "first half-step"),
+                ("back", "step-backward", "one half-step back"),
+                ("forward", "step-forward", "one half-step forward"),
+                ("last", "fast-forward", "last half-step"),
+            )
+        }
         self._press("first", lambda i: 0)
         self._press("back", lambda i: max(i - 1, 0))
         self._press("forward", lambda i: min(i + 1, last))
@@ -101,24 +120,38 @@ class Stepper(Panel):
     def _press(self, name, move):
         def pressed(_):
             self.slider.value = move(self.slider.value)
+
         self.buttons[name].on_click(pressed)
 
     def _bars(self):
         first, back, forward, last = self.buttons.values()
-        return [ipywidgets.HBox([first, back, self.play, forward, last, self.slider, self.speed]), *super()._bars()]
+        return [_row([first, back, self.play, forward, last, self.slider, self.speed]), *super()._bars()]
 
     def __repr__(self):
         """Fixed, see `Panel`."""
         return f"Stepper({self.picture.name}, {self.picture.n} half-steps)"
 
 
+def _row(widgets):
+    """Widgets side by side, in as many lines as the page needs."""
+    return ipywidgets.Box(widgets, layout=ipywidgets.Layout(flex_flow="row wrap", max_width="100%"))
+
+
 def _control(control):
     """The widget for a `Number` or a `Switch`."""
     if isinstance(control, Switch):
-        return ipywidgets.Checkbox(control.value, description=control.label, indent=False)
+        return ipywidgets.Checkbox(
+            control.value, description=control.label, indent=False, layout=ipywidgets.Layout(width="auto")
+        )
     if isinstance(control, Number):
         slider = ipywidgets.IntSlider if isinstance(control.step, int) else ipywidgets.FloatSlider
-        return slider(control.value, min=control.low, max=control.high, step=control.step,
-                                      description=control.label, style={"description_width": "90px"},
-                                      layout=ipywidgets.Layout(width="320px"))
+        return slider(
+            control.value,
+            min=control.low,
+            max=control.high,
+            step=control.step,
+            description=control.label,
+            style={"description_width": "95px"},
+            layout=ipywidgets.Layout(width="280px"),
+        )
     raise TypeError(f"a control is a Number or a Switch, got {control!r}")

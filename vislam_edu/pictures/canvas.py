@@ -2,9 +2,11 @@
 
 import base64
 import io
+from collections.abc import Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Any
 
-import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from PIL import Image
@@ -73,15 +75,16 @@ class Picture:
     """
 
     name = "picture"
-    size = (10.0, 5.0)
-    controls: dict = {}
+    size: tuple[float, float] = (10.0, 5.0)
+    controls: Mapping[str, Number | Switch] = MappingProxyType({})
 
     def __init__(self):
         self._moving = []
         self._limits = {}
         self._background = None
         with style.context():
-            self.figure = Figure(figsize=self.size, dpi=100, layout="none")
+            self.figure = Figure(figsize=self.size, dpi=100)
+            self.figure.set_layout_engine("none")
             self.canvas = FigureCanvasAgg(self.figure)
             self.build()
 
@@ -97,15 +100,15 @@ class Picture:
         self._moving.extend(artists)
         return artists[0] if len(artists) == 1 else artists
 
-    def draw(self, **state):
+    def draw(self, *args: Any, **state: Any) -> None:
         """Set the artists that move to this state."""
         raise NotImplementedError
 
-    def caption(self, **state) -> str:
+    def caption(self, *args: Any, **state: Any) -> str:
         """One line that says what is to be seen."""
         raise NotImplementedError
 
-    def alt(self, **state) -> str:
+    def alt(self, *args: Any, **state: Any) -> str:
         """The picture in words, for a reader who cannot see it."""
         raise NotImplementedError
 
@@ -156,8 +159,8 @@ class Picture:
 class StepPicture(Picture):
     """A picture of a filter's history, in half-steps.
 
-    Half-step 2k is frame k as predicted, 2k + 1 is frame k after the cameras have spoken. `draw`, `caption` and
-    `alt` take the half-step `i` besides the controls.
+    Half-step 2k is frame k as predicted, 2k + 1 is frame k after the cameras have spoken. `draw`, `caption`
+    and `alt` take the half-step `i` besides the controls.
 
     steps : the history, a sequence of `kalman.Step`.
     Raises ValueError for an empty history.

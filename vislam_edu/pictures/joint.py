@@ -1,4 +1,4 @@
-"""Chapter 05: the joint filter over landmarks and pose, half-step by half-step, with or without what ties them."""
+"""Chapter 05: the joint filter over landmarks and pose, with or without what ties them."""
 
 import numpy as np
 from matplotlib.collections import LineCollection
@@ -22,31 +22,32 @@ def correlation(covariance):
 def world_landmark_covariance(belief, error_state):
     """(n, 3, 3) m^2: covariance of the landmarks in the world frame, whatever error the filter keeps.
 
-    belief : `motion.Belief`. To first order m - m_hat = (landmark error) + C (pose error), with C from `error_state`.
+    belief : `motion.Belief`. To first order, and with C from `error_state`,
+    m - m_hat = (landmark error) + C (pose error).
     """
     P = belief.landmark_covariance
     C = error_state.world_landmark(belief.landmarks)
     if C is None:
         return P
-    cross = belief.covariance[:3 * len(P), belief.pose].reshape(-1, 3, 6) @ np.swapaxes(C, -1, -2)
+    cross = belief.covariance[: 3 * len(P), belief.pose].reshape(-1, 3, 6) @ np.swapaxes(C, -1, -2)
     return P + cross + np.swapaxes(cross, -1, -2) + C @ belief.pose_covariance @ np.swapaxes(C, -1, -2)
 
 
 def frame_nis(step, sensors):
-    """NIS of a whole frame, and how many numbers it sums (three a landmark: v_left and v_right measure the same thing)."""
+    """NIS of a whole frame, and how many numbers it sums: three a landmark, as v_left and v_right measure the same."""
     innovation, prior = step.innovation, step.prior
     m, n = len(innovation.ids), len(prior.ids)
     rows = np.searchsorted(prior.ids, innovation.ids)
     _, _, H_l, H_p = slam.linearise(prior, rows, sensors)
     H = np.zeros((m, 3, len(prior.covariance)))
     for j, row in enumerate(rows):
-        H[j, :, 3 * row:3 * row + 3] = H_l[j]
-    H[:, :, 3 * n:3 * n + 6] = H_p
-    H = H.reshape(3 * m, len(prior.covariance))
+        H[j, :, 3 * row : 3 * row + 3] = H_l[j]
+    H[:, :, 3 * n : 3 * n + 6] = H_p
     V = np.diag(np.tile(sensors.noise.sigma_px**2 * slam.ROW_VARIANCE, m))
     residual = innovation.residual
     reduced = np.stack([residual[:, 0], (residual[:, 1] + residual[:, 3]) / 2, residual[:, 2]], axis=-1)
-    return kalman.nis(reduced.ravel(), kalman.innovation_covariance(prior.covariance, H, V)), 3 * m
+    S = kalman.innovation_covariance(prior.covariance, H.reshape(3 * m, len(prior.covariance)), V)
+    return kalman.nis(reduced.ravel(), S), 3 * m
 
 
 class History:
@@ -83,8 +84,10 @@ class JointPicture(StepPicture):
         if without is not None:
             self.histories.append(History(without, drive, noise, self.error_state))
             if len(self.histories[1].steps) != len(self.histories[0].steps):
-                raise ValueError(f"without: {len(self.histories[1].steps)} steps, expected "
-                                 f"{len(self.histories[0].steps)} as in the other run")
+                raise ValueError(
+                    f"without: {len(self.histories[1].steps)} steps, expected "
+                    f"{len(self.histories[0].steps)} as in the other run"
+                )
             self.controls = {"drop": Switch("drop the cross-covariance after every frame")}
         super().__init__(self.histories[0].steps)
 
@@ -94,8 +97,14 @@ class JointPicture(StepPicture):
         points = [s.posterior.world_T_imu[None, :2, 3] for h in self.histories for s in h.steps]
         if self.drive.true_landmarks is not None:
             points.append(self.drive.true_landmarks[ids, :2])
-        self.map = MapPanel(self, (0.06, 0.59, 0.42, 0.36), "Map from above, 95 % ellipses", np.concatenate(points),
-                            self.drive.true_landmarks, self.drive.true_world_T_imu)
+        self.map = MapPanel(
+            self,
+            (0.06, 0.6, 0.42, 0.35),
+            "Map from above, 95 % ellipses",
+            np.concatenate(points),
+            self.drive.true_landmarks,
+            self.drive.true_world_T_imu,
+        )
         (self.gone,) = self.map.axes.plot([], [], "x", ms=7, mew=1.5, color=COLOURS["rejected"])
         (self.new,) = self.map.axes.plot([], [], "o", ms=9, mew=1.5, mfc="none", color=COLOURS["accepted"])
         self.moves(self.gone, self.new)
@@ -104,17 +113,28 @@ class JointPicture(StepPicture):
 
     def _build_matrix(self):
         size = max(len(b.covariance) for h in self.histories for s in h.steps for b in (s.prior, s.posterior))
-        self.matrix = add_axes(self, (0.06, 0.055, 0.2436, 0.42), "Correlation of the joint state", xticks=[], yticks=[],
-                               xlim=(-2.5, size), ylim=(size, -2.5), aspect="equal", anchor="W")
+        self.matrix = add_axes(
+            self,
+            (0.06, 0.055, 0.2436, 0.42),
+            "Correlation of the joint state",
+            xticks=[],
+            yticks=[],
+            xlim=(-2.5, size),
+            ylim=(size, -2.5),
+            aspect="equal",
+            anchor="W",
+        )
         self.matrix.grid(False)
         for spine in self.matrix.spines.values():
             spine.set_visible(False)
-        self.image = self.matrix.imshow(np.eye(2), cmap="RdBu_r", vmin=-1, vmax=1, interpolation="nearest",
-                                        aspect="equal")
+        self.image = self.matrix.imshow(
+            np.eye(2), cmap="RdBu_r", vmin=-1, vmax=1, interpolation="nearest", aspect="equal"
+        )
         self.matrix.set(xlim=(-2.5, size), ylim=(size, -2.5))
         self.blocks = self.matrix.add_collection(LineCollection([], lw=0.4, color="0.75"), autolim=False)
         self.pose_lines = self.matrix.add_collection(
-            LineCollection([], lw=1.4, color="black", label="pose block"), autolim=False)
+            LineCollection([], lw=1.4, color="black", label="pose block"), autolim=False
+        )
         self.marks = self.matrix.add_collection(LineCollection([], lw=4), autolim=False)
         self.moves(self.image, self.blocks, self.pose_lines, self.marks)
         bar = self.figure.colorbar(self.image, cax=self.figure.add_axes((0.325, 0.075, 0.012, 0.2)))
@@ -122,47 +142,76 @@ class JointPicture(StepPicture):
         bar.outline.set_visible(False)
         (born,) = self.matrix.plot([], [], lw=4, color=COLOURS["accepted"], label="born in this frame")
         (leaves,) = self.matrix.plot([], [], lw=4, color=COLOURS["rejected"], label="retired next")
-        legend(self.matrix, [self.pose_lines, born, leaves], columns=1, loc="upper left", bbox_to_anchor=(1.03, 1),
-               frameon=False)
+        legend(
+            self.matrix,
+            [self.pose_lines, born, leaves],
+            columns=1,
+            loc="upper left",
+            bbox_to_anchor=(1.03, 1),
+            frameon=False,
+        )
 
     def _build_time(self):
         times = np.repeat([step.time for step in self.steps], 2)
         grey = {"color": COLOURS["expected"], "ls": "--", "lw": 1.0}
         blue = {"color": COLOURS["slam"], "lw": 1.4}
-        top = [1.15 * max(max(h.three_sigma[:, a].max(), np.nanmax(np.abs(h.error[:, a]), initial=0))
-                          for h in self.histories) for a in (AXIS, YAW)]
+        top = [
+            1.15
+            * max(max(h.three_sigma[:, a].max(), np.nanmax(np.abs(h.error[:, a]), initial=0)) for h in self.histories)
+            for a in (AXIS, YAW)
+        ]
         first = self.histories[0]
-        lines = [[(first.error[:, a], blue), (first.three_sigma[:, a], grey), (-first.three_sigma[:, a], grey)]
-                 for a in (AXIS, YAW)]
-        self.forward = TimePanel(self, (0.56, 0.72, 0.43, 0.2), "Position error forward, m, and its ± 3σ (dashed)", "",
-                                  times, lines[0], xlabel="", ylim=(-top[0], top[0]))
-        self.heading = TimePanel(self, (0.56, 0.41, 0.43, 0.2), "Heading error, degrees, and its ± 3σ (dashed)", "",
-                                 times, [(np.rad2deg(v), style) for v, style in lines[1]], xlabel="",
-                                 ylim=np.rad2deg([-top[1], top[1]]))
+        styles = (blue, grey, grey)
+        self.forward = TimePanel(
+            self,
+            (0.56, 0.72, 0.43, 0.2),
+            "Position error forward, m, and its ± 3σ (dashed)",
+            "",
+            times,
+            list(zip(error_and_band(first, AXIS), styles)),
+            xlabel="",
+            ylim=(-top[0], top[0]),
+        )
+        self.heading = TimePanel(
+            self,
+            (0.56, 0.41, 0.43, 0.2),
+            "Heading error, degrees, and its ± 3σ (dashed)",
+            "",
+            times,
+            list(zip(np.rad2deg(error_and_band(first, YAW)), styles)),
+            xlabel="",
+            ylim=np.rad2deg([-top[1], top[1]]),
+        )
         band = np.repeat(nis_band(first.numbers), 2, axis=1)
         highest = 1.1 * np.nanmax([np.nanmax(h.nis) for h in self.histories] + [np.nanmax(band)])
-        self.nis = TimePanel(self, (0.56, 0.09, 0.43, 0.2), "NIS of the frame / degrees of freedom, with its 95 % band", "",
-                             times, [(first.nis, blue)], still=[(edge, grey) for edge in band], ylim=(0, highest))
+        self.nis = TimePanel(
+            self,
+            (0.56, 0.09, 0.43, 0.2),
+            "NIS of the frame / degrees of freedom, with its 95 % band",
+            "",
+            times,
+            [(first.nis, blue)],
+            still=[(edge, grey) for edge in band],
+            ylim=(0, highest),
+        )
 
     def draw(self, i, drop=False):
         """Show half-step i, of the run without cross-covariances if `drop`."""
         history = self.histories[drop]
         belief, leaving = self._state(i, history)
         step = history.steps[i // 2]
-        path = np.array([s.posterior.world_T_imu for s in history.steps[:i // 2]] + [belief.world_T_imu])
+        path = np.array([s.posterior.world_T_imu for s in history.steps[: i // 2]] + [belief.world_T_imu])
         self.map.draw(path, belief.landmarks, world_landmark_covariance(belief, self.error_state), bool(i % 2))
         born = np.isin(belief.ids, step.born)
         self.new.set_data(*belief.landmarks[born, :2].T)
         self.gone.set_data(*belief.landmarks[leaving, :2].T)
         self._draw_matrix(belief, born, leaving)
-        for panel, values in ((self.forward, [history.error[:, AXIS], *_plus_minus(history.three_sigma[:, AXIS])]),
-                              (self.heading, np.rad2deg([history.error[:, YAW], *_plus_minus(history.three_sigma[:, YAW])])),
-                              (self.nis, [history.nis])):
-            panel.values = values
-            panel.draw(i)
+        self.forward.draw(i, error_and_band(history, AXIS))
+        self.heading.draw(i, np.rad2deg(error_and_band(history, YAW)))
+        self.nis.draw(i, [history.nis])
 
     def _state(self, i, history):
-        """The belief of half-step i and which of its landmarks (n,) bool are retired before the next frame's update."""
+        """The belief of half-step i, and which of its landmarks (n,) bool the next frame retires."""
         step, updated = history.steps[i // 2], i % 2
         belief = step.posterior if updated else step.prior
         last = not updated or i // 2 + 1 == len(history.steps)
@@ -190,18 +239,23 @@ class JointPicture(StepPicture):
         if i % 2 == 0:
             return f"{self.when(i)}: the pose is less certain. Retired: {_listed(step.retired)}.{tail}"
         used = int(step.innovation.accepted.sum())
-        return f"{self.when(i)}: {used} landmarks correct map and pose together. Born: {_listed(step.born)}.{tail}"
+        return f"{self.when(i)}: {used} landmarks correct map and pose. Born: {_listed(step.born)}.{tail}"
 
     def alt(self, i, drop=False):
         """The picture in words."""
         size = len(self._state(i, self.histories[drop])[0].covariance)
         which = "without cross-covariances" if drop else "with all cross-covariances"
-        return (f"The joint filter {which}, {self.when(i)}: map from above with 95 % ellipses, the {size} by {size} "
-                "correlation matrix, errors of position and heading against three standard deviations, NIS through time.")
+        return (
+            f"The joint filter {which}, {self.when(i)}: map from above with 95 % ellipses, the {size} by "
+            f"{size} "
+            "correlation matrix, errors of position and heading against three standard deviations, NIS "
+            "through time."
+        )
 
 
-def _plus_minus(values):
-    return values, -values
+def error_and_band(history, axis):
+    """(3, n): error of one component of the pose, and the edges of its band of 3 sigma."""
+    return np.array([history.error[:, axis], history.three_sigma[:, axis], -history.three_sigma[:, axis]])
 
 
 def _cross_lines(at, size):

@@ -21,7 +21,7 @@ def linearise(prior, innovation, camera, landmarks):
 
 
 def frame_nis(prior, innovation, camera, noise, landmarks):
-    """NIS of a whole frame and how many numbers it sums: the measurements share the pose's error, so not one by one."""
+    """NIS of a whole frame (its measurements share the error of the pose), and how many numbers it sums."""
     n = 4 * len(innovation.ids)
     H = linearise(prior, innovation, camera, landmarks).reshape(n, 6)
     S = kalman.innovation_covariance(prior.covariance, H, noise.sigma_px**2 * np.eye(n))
@@ -29,7 +29,7 @@ def frame_nis(prior, innovation, camera, noise, landmarks):
 
 
 def pulls(prior, innovation, camera, noise, landmarks):
-    """(n, 6): the correction of the pose (prior body frame, m and rad) that each measurement contributes, K_j r_j.
+    """(n, 6): what each measurement adds to the correction of the pose, K_j r_j; prior body frame, m and rad.
 
     Zero where the gate kept the measurement out. The correction of the frame is their sum.
     """
@@ -46,7 +46,7 @@ def pulls(prior, innovation, camera, noise, landmarks):
 
 
 class LocalisationPicture(StepPicture):
-    """Where the car is on a known map: from above, magnified, in the left image, and the innovations through time.
+    """Where the car is on a known map: from above, magnified, in the left image, and innovations in time.
 
     steps : from `odometry.localize`. drive : the `Drive` they come from. noise : what the filter was given.
     landmarks : (M, 3) m, the known map.
@@ -63,8 +63,13 @@ class LocalisationPicture(StepPicture):
         """Maps on the left, image and time on the right."""
         self.path = np.array([step.posterior.world_T_imu for step in self.steps])
         points = np.concatenate([self.landmarks[:, :2], self.path[:, :2, 3]])
-        self.map = MapPanel(self, (0.06, 0.59, 0.42, 0.36), "Map from above, landmarks in view", points,
-                            true_path=self.drive.true_world_T_imu)
+        self.map = MapPanel(
+            self,
+            (0.06, 0.6, 0.42, 0.35),
+            "Map from above, landmarks in view",
+            points,
+            true_path=self.drive.true_world_T_imu,
+        )
         self.sight = self.map.axes.add_collection(LineCollection([], lw=0.7, color=COLOURS["measured"]), autolim=False)
         self.moves(self.sight)
         self._build_near()
@@ -72,17 +77,27 @@ class LocalisationPicture(StepPicture):
         self._build_time()
 
     def _build_near(self):
-        self.near = add_axes(self, (0.06, 0.09, 0.2125, 0.3795), "Pose, from the predicted one", "forward, cm", "left, cm",
-                             xlim=(-NEAR, NEAR), ylim=(-NEAR, NEAR), aspect="equal")
+        self.near = add_axes(
+            self,
+            (0.06, 0.09, 0.2125, 0.3795),
+            "Pose, from the predicted one",
+            "forward, cm",
+            "left, cm",
+            xlim=(-NEAR, NEAR),
+            ylim=(-NEAR, NEAR),
+            aspect="equal",
+        )
         kept = COLOURS["prior"]
-        self.before = self.near.add_patch(Polygon(np.zeros((1, 2)), fill=False, ec=kept, lw=1.2, ls="--",
-                                                  label="predicted, 95 %"))
-        self.wedge = self.near.add_patch(Polygon(np.zeros((1, 2)), lw=0, alpha=0.25,
-                                                 label=f"heading, 95 %, ×{WEDGE}"))
-        self.ellipse = self.near.add_patch(Polygon(np.zeros((1, 2)), fill=False, lw=1.8, ec=COLOURS["posterior"],
-                                                   label="position, 95 %"))
-        self.pulls = self.near.add_collection(LineCollection([], lw=1.0, color=COLOURS["measured"],
-                                                             label="pull of one landmark"), autolim=False)
+        self.before = self.near.add_patch(
+            Polygon(np.zeros((1, 2)), fill=False, ec=kept, lw=1.2, ls="--", label="predicted, 95 %")
+        )
+        self.wedge = self.near.add_patch(Polygon(np.zeros((1, 2)), lw=0, alpha=0.25, label=f"heading, 95 %, ×{WEDGE}"))
+        self.ellipse = self.near.add_patch(
+            Polygon(np.zeros((1, 2)), fill=False, lw=1.8, ec=COLOURS["posterior"], label="position, 95 %")
+        )
+        self.pulls = self.near.add_collection(
+            LineCollection([], lw=1.0, color=COLOURS["measured"], label="pull of one landmark"), autolim=False
+        )
         (self.mean,) = self.near.plot([], [], "o", ms=4, color="black", label="estimate")
         (self.truth,) = self.near.plot([], [], "+", ms=9, mew=1.6, color="black", label="truth")
         self.moves(self.before, self.wedge, self.pulls, self.ellipse, self.mean, self.truth)
@@ -93,34 +108,54 @@ class LocalisationPicture(StepPicture):
 
     def _build_time(self):
         times = np.repeat([step.time for step in self.steps], 2)
-        nis, n = np.transpose([frame_nis(s.prior, s.innovation, self.drive.camera, self.noise, self.landmarks)
-                               for s in self.steps])
+        nis, n = np.transpose(
+            [frame_nis(s.prior, s.innovation, self.drive.camera, self.noise, self.landmarks) for s in self.steps]
+        )
         seen = np.where(n > 0, n, np.nan)
         self.nis = _after_update(nis / seen)
         self.band = np.repeat(nis_band(seen), 2, axis=1)
         u, sigma = np.transpose([_rms(s.innovation) for s in self.steps])
         grey = {"color": COLOURS["expected"], "ls": "--", "lw": 1.0}
         blue = {"color": COLOURS["predicted"], "lw": 1.2}
-        self.size = TimePanel(self, (0.55, 0.37, 0.44, 0.14), "Innovation u: RMS (blue) and what S expects (dashed), px",
-                              "", times, [(_after_update(u), blue), (_after_update(sigma), grey)], xlabel="",
-                              ylim=(0, 1.2 * np.nanmax([u, sigma])))
+        self.errors = TimePanel(
+            self,
+            (0.55, 0.37, 0.44, 0.14),
+            "Innovation u: RMS (blue) and what S expects (dashed), px",
+            "",
+            times,
+            [(_after_update(u), blue), (_after_update(sigma), grey)],
+            xlabel="",
+            ylim=(0, 1.2 * np.nanmax([u, sigma])),
+        )
         top = max(1.1 * np.nanmax(self.nis), 1.1 * np.nanmax(self.band))
-        self.time = TimePanel(self, (0.55, 0.09, 0.44, 0.16), "NIS of the frame / degrees of freedom, with its 95 % band",
-                              "", times, [(self.nis, blue)], still=[(edge, grey) for edge in self.band], ylim=(0, top))
+        self.time = TimePanel(
+            self,
+            (0.55, 0.09, 0.44, 0.16),
+            "NIS of the frame / degrees of freedom, with its 95 % band",
+            "",
+            times,
+            [(self.nis, blue)],
+            still=[(edge, grey) for edge in self.band],
+            ylim=(0, top),
+        )
 
     def draw(self, i):
         """Show half-step i."""
         step, updated = self.step(i)
-        belief, prior = self.belief(i), step.prior
+        belief = self.belief(i)
         ids, pixels = self.drive.observed(step.k)
         T = belief.world_T_imu
-        self.map.draw(np.concatenate([self.path[:step.k], T[None]]), self.landmarks, np.zeros((len(self.landmarks), 3, 3)),
-                      updated)
+        self.map.draw(
+            np.concatenate([self.path[: step.k], T[None]]),
+            self.landmarks,
+            np.zeros((len(self.landmarks), 3, 3)),
+            updated,
+        )
         self.sight.set_segments([[T[:2, 3], landmark] for landmark in self.landmarks[ids, :2]])
         projected, _ = self.drive.camera.observe(T, self.landmarks[step.innovation.ids])
         self.image.draw(step.innovation, pixels, projected)
         self._draw_near(step, belief, updated)
-        self.size.draw(i)
+        self.errors.draw(i)
         self.time.draw(i)
 
     def _draw_near(self, step, belief, updated):
@@ -147,20 +182,29 @@ class LocalisationPicture(StepPicture):
         step, updated = self.step(i)
         belief = self.belief(i)
         forward, left = 100 * TWO_SIDED * np.sqrt(np.diag(belief.covariance)[:2])
-        known = (f" 95 % of each alone: forward ± {forward:.1f} cm, left ± {left:.1f} cm, "
-                 f"heading ± {np.rad2deg(heading_half_width(belief)):.2f}°.")
+        known = (
+            f" 95 % of each alone: forward ± {forward:.1f} cm, left ± {left:.1f} cm, "
+            f"heading ± {np.rad2deg(heading_half_width(belief)):.2f}°."
+        )
         if not updated:
             grown = "the start" if i == 0 else "the ellipse has swollen by one step of the IMU's noise"
             return f"{self.when(i)}: {grown}.{known}"
         innovation = step.innovation
-        return (f"{self.when(i)}: {int(innovation.accepted.sum())} of {len(innovation.ids)} landmarks pull the pose, "
-                f"the ellipse shrinks.{known}")
+        return (
+            f"{self.when(i)}: {int(innovation.accepted.sum())} of {len(innovation.ids)} landmarks pull "
+            f"the pose, "
+            f"the ellipse shrinks.{known}"
+        )
 
     def alt(self, i):
         """The picture in words."""
-        return (f"Map from above with the car and the landmarks in view, {self.when(i)}; magnified, the 95 % ellipse of the "
-                f"position and the wedge of the heading; the left image, predictions drawn {self.image.enlarged} times as far from "
-                "the measured pixels; innovations and NIS through time.")
+        return (
+            f"Map from above with the car and the landmarks in view, {self.when(i)}; magnified, the 95 % "
+            f"ellipse of the "
+            f"position and the wedge of the heading; the left image, predictions drawn "
+            f"{self.image.enlarged} times as far from "
+            "the measured pixels; innovations and NIS through time."
+        )
 
 
 def heading_half_width(belief):
@@ -176,13 +220,13 @@ def _wedge(at, heading, half_width, radius=0.8 * NEAR):
 
 
 def _rms(innovation):
-    """RMS of the innovations' u (left) in a frame, and the value S leads one to expect; NaN for an empty frame."""
+    """RMS of a frame's innovations of u (left), and what S leads one to expect; NaN for an empty frame."""
     if len(innovation.ids) == 0:
         return np.nan, np.nan
     return np.sqrt([np.mean(innovation.residual[:, 0] ** 2), np.mean(innovation.covariance[:, 0, 0])])
 
 
 def _after_update(values):
-    """Values per frame as values per half-step: during the prediction of frame k the value of frame k - 1 stands."""
+    """Values per frame to values per half-step: until the update of frame k that of frame k - 1 stands."""
     doubled = np.repeat(values, 2)
     return np.concatenate([[np.nan], doubled[:-1]])

@@ -24,8 +24,18 @@ def add_axes(picture, rect, title, xlabel="", ylabel="", **kwargs):
 def legend(axes, handles, columns=9, **kwargs):
     """A legend in one row or a few, by default under the axes' upper edge on the right."""
     kwargs = {"loc": "upper right", "borderaxespad": 0.3, **kwargs}
-    return axes.legend(handles=handles, ncols=columns, fontsize=8.5, framealpha=0.85, handlelength=1.6,
-                       handletextpad=0.5, columnspacing=1.0, borderpad=0.3, labelspacing=0.3, **kwargs)
+    return axes.legend(
+        handles=handles,
+        ncols=columns,
+        fontsize=8.5,
+        framealpha=0.85,
+        handlelength=1.6,
+        handletextpad=0.5,
+        columnspacing=1.0,
+        borderpad=0.3,
+        labelspacing=0.3,
+        **kwargs,
+    )
 
 
 def phase_colour(updated):
@@ -44,7 +54,7 @@ def principal_sigmas(covariance):
 
 
 def nis_band(n_numbers):
-    """What 95 % of honest frames show: NIS / degrees of freedom, (2, ...), for frames of so many numbers (> 0)."""
+    """NIS / degrees of freedom that 95 % of honest frames show, (2, ...), for frames of so many numbers."""
     n_numbers = np.asarray(n_numbers)
     return np.array([chi2.ppf(p, n_numbers) / n_numbers for p in (0.025, 0.975)])
 
@@ -52,7 +62,7 @@ def nis_band(n_numbers):
 class MapPanel:
     """The world from above: the car, where it was, and landmarks with their 95 % ellipses.
 
-    rect : as for `add_axes`. points : (n, 2) m, what the map must hold; its scale is equal on both axes and never changes.
+    rect : as for `add_axes`. points : (n, 2) m, what the map must hold; its scale is equal on both axes and fixed.
     true_landmarks : (M, 3) and true_path : (T, 4, 4), or None.
     """
 
@@ -61,12 +71,12 @@ class MapPanel:
         self._fit(points)
         handles = []
         if true_landmarks is not None:
-            handles += self.axes.plot(*true_landmarks[:, :2].T, "+", ms=5, mew=0.8, color="0.55",
-                                      label="true landmark")
+            handles += self.axes.plot(*true_landmarks[:, :2].T, "+", ms=5, mew=0.8, color="0.55", label="true landmark")
         if true_path is not None:
             handles += self.axes.plot(*true_path[:, :2, 3].T, "-", lw=0.8, color="0.55", label="true path")
         self.ellipses = self.axes.add_collection(
-            PolyCollection([], facecolor=(0, 0.3, 0.6, 0.06), lw=1.2, label="95 % ellipse"), autolim=False)
+            PolyCollection([], facecolor=(0, 0.3, 0.6, 0.06), lw=1.2, label="95 % ellipse"), autolim=False
+        )
         (self.points,) = self.axes.plot([], [], ".", ms=4, color="black", label="landmark")
         (self.chosen,) = self.axes.plot([], [], "o", ms=9, mew=1.5, mfc="none", mec=COLOURS["measured"])
         (self.path,) = self.axes.plot([], [], "-", lw=1.4, color=COLOURS["posterior"], label="path")
@@ -83,7 +93,7 @@ class MapPanel:
         self.axes.set(xlim=(x0, x1), ylim=(y0, y1))
 
     def draw(self, path, means, covariances, updated, chosen=()):
-        """path : (k, 4, 4), ends where the car is. means : (n, 2+). covariances : (n, 2+, 2+), m^2, in the world.
+        """path : (k, 4, 4), ends where the car is. means : (n, 2+), covariances : (n, 2+, 2+), m and m^2, world.
 
         updated : the phase, by `phase_colour`. chosen : (2,), a landmark to ring, or empty.
         """
@@ -96,34 +106,51 @@ class MapPanel:
 
 
 class ImagePanel:
-    """The left image: every measured pixel where it is, and around it, enlarged, what the filter had predicted.
+    """The left image: every measured pixel, and around it, enlarged, what the filter had predicted.
 
-    Predicted pixel, innovation and the 95 % ellipse of S are drawn `enlarged` times as far from the measured pixel as they
-    are: an innovation is a few pixels of 1241, too short to be seen. At the update the prediction moves towards the
-    measurement.
+    Predicted pixel, innovation and the 95 % ellipse of S are drawn `enlarged` times as far from the measured
+    pixel as they are: an innovation is a few pixels of 1241, too short to be seen. At the update the prediction
+    moves towards the measurement.
     """
 
     def __init__(self, picture, rect, enlarged):
         self.enlarged = enlarged
         width, height = IMAGE_SIZE
-        self.axes = add_axes(picture, rect, f"Left image, px; predictions {enlarged} × as far from the measured pixel",
-                             xlim=(0, width), ylim=(height, 0), aspect="equal", anchor="W", facecolor="0.97")
+        self.axes = add_axes(
+            picture,
+            rect,
+            f"Left image, px; predictions {enlarged} × as far from the measured pixel",
+            xlim=(0, width),
+            ylim=(height, 0),
+            aspect="equal",
+            anchor="W",
+            facecolor="0.97",
+        )
         self.axes.set_title(self.axes.get_title("left"), fontsize=10, loc="left", pad=19)
         self.ellipses = self.axes.add_collection(
             PolyCollection([], facecolor="none", edgecolor=COLOURS["predicted"], lw=1.0, label="95 % ellipse of S"),
-            autolim=False)
+            autolim=False,
+        )
         self.arrows = self.axes.add_collection(
-            LineCollection([], lw=1.6, color=COLOURS["accepted"], label="innovation"), autolim=False)
+            LineCollection([], lw=1.6, color=COLOURS["accepted"], label="innovation"), autolim=False
+        )
         (self.predicted,) = self.axes.plot([], [], "x", ms=5, mew=1.2, color=COLOURS["predicted"], label="predicted")
         (self.measured,) = self.axes.plot([], [], "o", ms=3.5, color=COLOURS["measured"], label="measured")
         (self.chosen,) = self.axes.plot([], [], "o", ms=11, mew=1.5, mfc="none", mec=COLOURS["measured"])
         picture.moves(self.ellipses, self.arrows, self.predicted, self.measured, self.chosen)
-        legend(self.axes, [self.measured, self.predicted, self.arrows, self.ellipses], loc="lower left",
-               bbox_to_anchor=(0, 1), frameon=False, borderaxespad=0)
+        legend(
+            self.axes,
+            [self.measured, self.predicted, self.arrows, self.ellipses],
+            loc="lower left",
+            bbox_to_anchor=(0, 1),
+            frameon=False,
+            borderaxespad=0,
+        )
 
     def draw(self, innovation, pixels, projected=None, chosen=()):
-        """innovation : `kalman.Innovation`. pixels : (n, 4), all that was measured. projected : (m, 4), where the belief
-        that is shown puts the landmarks of the innovation, by default as predicted. chosen : (2,) or empty.
+        """innovation : `kalman.Innovation`. pixels : (n, 4), all that was measured. chosen : (2,) or empty.
+
+        projected : (m, 4), where the belief that is shown puts the landmarks of the innovation, by default as predicted.
         """
         measured, predicted = innovation.measured[:, :2], innovation.predicted[:, :2]
         projected = predicted if projected is None else projected[:, :2]
@@ -139,8 +166,8 @@ class ImagePanel:
 class TimePanel:
     """Quantities through time, drawn up to the half-step that is shown.
 
-    times (n,) s of the half-steps. lines : list of (values (n,), keyword arguments of `plot`). still : the same for
-    lines that are there from the start, such as a band.
+    times (n,) s of the half-steps. lines : list of (values (n,), keyword arguments of `plot`). still : the
+    same for lines that are there from the start, such as a band.
     """
 
     def __init__(self, picture, rect, title, ylabel, times, lines, still=(), **axes):
@@ -151,12 +178,14 @@ class TimePanel:
         for values, style in still:
             self.axes.plot(times, values, **style)
         self.values = [np.array(values) for values, _ in lines]
-        self.lines = [self.axes.plot(times, values, marker="o", ms=4, markevery=[-1], **style)[0] for values, style in lines]
+        self.lines = [
+            self.axes.plot(times, values, marker="o", ms=4, markevery=[-1], **style)[0] for values, style in lines
+        ]
         self.cursor = self.axes.axvline(times[0], color="0.6", lw=0.8)
         picture.moves(self.cursor, *self.lines)
 
-    def draw(self, i):
-        """Show half-steps 0 ... i."""
-        for line, values in zip(self.lines, self.values):
-            line.set_data(self.times[:i + 1], values[:i + 1])
+    def draw(self, i, values=None):
+        """Show half-steps 0 ... i, of other values than at the start if they are given, one (n,) for each line."""
+        for line, y in zip(self.lines, self.values if values is None else values):
+            line.set_data(self.times[: i + 1], y[: i + 1])
         self.cursor.set_xdata([self.times[i]] * 2)

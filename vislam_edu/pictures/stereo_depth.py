@@ -12,6 +12,11 @@ from .panels import add_axes, legend
 DRAWS = 500
 NEAR, FAR = 4.0, 60.0  # m
 ZOOM = 3.0  # px, half the side of the magnified pixel noise
+CONTROLS = {
+    "depth": Number("depth, m", 30.0, NEAR, FAR, 0.5),
+    "right": Number("to the right, m", 0.3, -1.0, 1.0, 0.1),
+    "sigma_px": Number("noise, px", 0.7, 0.1, 1.5, 0.1),
+}
 
 
 def depth_sigma(depth, camera, sigma_px):
@@ -23,17 +28,13 @@ def depth_sigma(depth, camera, sigma_px):
 
 
 class StereoDepthPicture(Picture):
-    """A point dragged in depth: both images with their noise, and from above the cloud of triangulated points.
+    """A point dragged in depth: both images with their noise, and the triangulated cloud from above.
 
     camera : StereoCamera, by default the simulated drive's. seed : of the noise, drawn once.
     """
 
     name = "a point dragged in depth"
-    controls = {
-        "depth": Number("depth, m", 30.0, NEAR, FAR, 0.5),
-        "right": Number("to the right, m", 0.3, -1.0, 1.0, 0.1),
-        "sigma_px": Number("noise, px", 0.7, 0.1, 1.5, 0.1),
-    }
+    controls = CONTROLS
 
     def __init__(self, camera=None, seed=0):
         self.camera = kitti_camera() if camera is None else camera
@@ -43,43 +44,83 @@ class StereoDepthPicture(Picture):
     def build(self):
         """Images on the left, from above and the law of depth on the right."""
         self.images = [self._build_image(side, bottom) for side, bottom in (("Left", 0.59), ("Right", 0.12))]
-        self.above = add_axes(self, (0.57, 0.57, 0.42, 0.33), "From above (sideways stretched): triangulated cloud",
-                              "forward, m", "to the right, m", xlim=(0, 110), ylim=(1.9, -1.9))
+        self.above = add_axes(
+            self,
+            (0.57, 0.57, 0.42, 0.33),
+            "From above (sideways stretched): triangulated cloud",
+            "forward, m",
+            "to the right, m",
+            xlim=(0, 110),
+            ylim=(1.9, -1.9),
+        )
         self.above.plot([0, 0], [0, self.camera.baseline], ">", ms=7, color="black", clip_on=False, zorder=3)
         self.rays = self.above.add_collection(LineCollection([], lw=0.8, color="0.6"), autolim=False)
         (self.cloud,) = self.above.plot([], [], ".", ms=2.5, color=COLOURS["measured"], label="triangulated")
         (self.ellipse,) = self.above.plot([], [], "-", lw=1.6, color=COLOURS["posterior"], label="95 % ellipse")
         (self.point,) = self.above.plot([], [], "+", ms=7, mew=1.2, color=COLOURS["truth"], label="true point")
         self.moves(self.rays, self.cloud, self.ellipse, self.point)
-        legend(self.above, [self.cloud, self.ellipse, self.point], loc="lower left", bbox_to_anchor=(0, 1), frameon=False,
-               borderaxespad=0)
+        legend(
+            self.above,
+            [self.cloud, self.ellipse, self.point],
+            loc="lower left",
+            bbox_to_anchor=(0, 1),
+            frameon=False,
+            borderaxespad=0,
+        )
         self.above.set_title(self.above.get_title("left"), fontsize=10, loc="left", pad=19)
 
-        self.law = add_axes(self, (0.57, 0.1, 0.42, 0.3), "Standard deviation of the depth, m", "depth, m", "",
-                            xlim=(0, FAR + 3), ylim=(0, 20))
+        self.law = add_axes(
+            self,
+            (0.57, 0.1, 0.42, 0.3),
+            "Standard deviation of the depth, m",
+            "depth, m",
+            "",
+            xlim=(0, FAR + 3),
+            ylim=(0, 20),
+        )
         self.depths = np.linspace(0, FAR + 3, 120)
-        (self.curve,) = self.law.plot([], [], "-", lw=1.6, color=COLOURS["posterior"], label=r"$z^2/(f\,b)\;\sqrt{2}\,\sigma$")
-        (self.here,) = self.law.plot([], [], "o", ms=8, mfc="white", mew=1.6, color=COLOURS["posterior"],
-                                     label="this depth")
-        (self.spread,) = self.law.plot([], [], "x", ms=8, mew=1.8, color=COLOURS["measured"], label="spread of the cloud")
+        (self.curve,) = self.law.plot(
+            [], [], "-", lw=1.6, color=COLOURS["posterior"], label=r"$z^2/(f\,b)\;\sqrt{2}\,\sigma$"
+        )
+        (self.here,) = self.law.plot(
+            [], [], "o", ms=8, mfc="white", mew=1.6, color=COLOURS["posterior"], label="this depth"
+        )
+        (self.spread,) = self.law.plot(
+            [], [], "x", ms=8, mew=1.8, color=COLOURS["measured"], label="spread of the cloud"
+        )
         self.moves(self.curve, self.here, self.spread)
         legend(self.law, [self.curve, self.here, self.spread], columns=1, loc="upper left")
 
     def _build_image(self, side, bottom):
         """One camera's image, with the noise around its pixel magnified beside it."""
         width, height = IMAGE_SIZE
-        axes = add_axes(self, (0.045, bottom, 0.29, 0.28), f"{side} image, px", xlim=(0, width), ylim=(height, 0),
-                        aspect="equal", facecolor="0.97", anchor="W")
+        axes = add_axes(
+            self,
+            (0.045, bottom, 0.29, 0.28),
+            f"{side} image, px",
+            xlim=(0, width),
+            ylim=(height, 0),
+            aspect="equal",
+            facecolor="0.97",
+            anchor="W",
+        )
         (pixel,) = axes.plot([], [], "o", ms=5, color=COLOURS["measured"])
-        zoom = add_axes(self, (0.375, bottom + 0.02, 0.11, 0.22), "noise, px", xlim=(-ZOOM, ZOOM), ylim=(ZOOM, -ZOOM),
-                        aspect="equal", facecolor="0.97")
+        zoom = add_axes(
+            self,
+            (0.375, bottom + 0.02, 0.11, 0.22),
+            "noise, px",
+            xlim=(-ZOOM, ZOOM),
+            ylim=(ZOOM, -ZOOM),
+            aspect="equal",
+            facecolor="0.97",
+        )
         (noise,) = zoom.plot([], [], ".", ms=2, color=COLOURS["measured"])
         (ring,) = zoom.plot([], [], "-", lw=1.4, color=COLOURS["predicted"])
         self.moves(pixel, noise, ring)
         return pixel, noise, ring
 
     def state_of(self, depth, right, sigma_px):
-        """True point (3,) in the camera frame, its pixels (4,), noisy pixels (n, 4), the cloud (n, 3) of points."""
+        """True point (3,) in the camera frame, its pixels (4,), noisy pixels (n, 4), their points (n, 3)."""
         point = np.array([right, 0.0, depth])
         true, _ = self.camera.project(point)
         measured = true + sigma_px * self.normal
@@ -111,12 +152,19 @@ class StereoDepthPicture(Picture):
         """The numbers of this depth."""
         point, true, _, cloud = self.state_of(depth, right, sigma_px)
         held = Path(self.outline(point, sigma_px)).contains_points(cloud[:, [2, 0]]).mean()
-        return (f"Depth {depth:.1f} m, disparity {true[0] - true[2]:.1f} px: the depth is known to "
-                f"± {depth_sigma(depth, self.camera, sigma_px):.2f} m (one σ), the cloud spreads by {cloud[:, 2].std():.2f} m, "
-                f"the 95 % ellipse holds {held:.0%} of it.")
+        return (
+            f"Depth {depth:.1f} m, disparity {true[0] - true[2]:.1f} px: the depth is known to "
+            f"± {depth_sigma(depth, self.camera, sigma_px):.2f} m (one σ), the cloud spreads by "
+            f"{cloud[:, 2].std():.2f} m, "
+            f"the 95 % ellipse holds {held:.0%} of it."
+        )
 
     def alt(self, **state):
         """The picture in words."""
-        return ("Both images of a point with its magnified pixel noise; from above the cloud of triangulated points, drawn out "
-                "along the line of sight, with its 95 % ellipse; below it the standard deviation of depth, growing with the "
-                "square of depth. " + self.caption(**state))
+        return (
+            "Both images of a point with its magnified pixel noise; from above the cloud of triangulated "
+            "points, drawn out "
+            "along the line of sight, with its 95 % ellipse; below it the standard deviation of depth, "
+            "growing with the "
+            "square of depth. " + self.caption(**state)
+        )

@@ -20,10 +20,23 @@ AXIS_COLOURS = [COLOURS["rejected"], COLOURS["accepted"], COLOURS["predicted"]] 
 
 # Seen from behind, to the right and above: screen right and screen up, as directions of the world.
 _AZIMUTH, _ELEVATION = np.deg2rad([-110.0, 28.0])
-VIEW = np.array([
-    [-np.sin(_AZIMUTH), np.cos(_AZIMUTH), 0.0],
-    [-np.sin(_ELEVATION) * np.cos(_AZIMUTH), -np.sin(_ELEVATION) * np.sin(_AZIMUTH), np.cos(_ELEVATION)],
-])
+VIEW = np.array(
+    [
+        [-np.sin(_AZIMUTH), np.cos(_AZIMUTH), 0.0],
+        [-np.sin(_ELEVATION) * np.cos(_AZIMUTH), -np.sin(_ELEVATION) * np.sin(_AZIMUTH), np.cos(_ELEVATION)],
+    ]
+)
+CONTROLS = {
+    "v_x": Number("v x, m/s", 5.0, -10.0, 10.0, 0.5),
+    "v_y": Number("v y, m/s", 0.0, -10.0, 10.0, 0.5),
+    "v_z": Number("v z, m/s", 0.0, -10.0, 10.0, 0.5),
+    "omega_x": Number("ω x, rad/s", 0.0, -1.0, 1.0, 0.05),
+    "omega_y": Number("ω y, rad/s", 0.0, -1.0, 1.0, 0.05),
+    "omega_z": Number("ω z, rad/s", 0.1, -1.0, 1.0, 0.05),
+    "samples": Number(f"time, × {TAU} s", 12, 1, SAMPLES, 1),
+    "steps": Number("Euler steps", 3, 1, 50, 1),
+    "sigma_omega": Number("σ ω z, rad/s", 0.2, 0.0, 0.4, 0.01),
+}
 
 
 @dataclass(frozen=True)
@@ -48,7 +61,7 @@ class PlanarNoise:
 
 
 def euler(twist, duration, steps):
-    """(steps + 1, 4, 4): dT/dt = T twist^ by Euler's method, T <- T + T tau twist^. It does not stay in SE(3)."""
+    """(steps + 1, 4, 4): dT/dt = T twist^ by Euler's method, T + T tau twist^, which leaves SE(3)."""
     one = np.eye(4) + duration / steps * se3.hat(twist)
     path = [np.eye(4)]
     for _ in range(steps):
@@ -95,8 +108,8 @@ def plane_ellipse(belief):
 def banana(belief):
     """(n, 2): the 95 % ellipse of the exponential coordinates, carried through exp into x and y.
 
-    The ellipse lives in the coordinates that move x and y; the others follow as their mean given these. In a plane this
-    holds close to 95 % as long as the covariance itself, propagated to first order, is good.
+    The ellipse lives in the coordinates that move x and y; the others follow as their mean given these. In a
+    plane this holds close to 95 % as long as the covariance itself, propagated to first order, is good.
     Source: Long, Wolfe, Mashner, Chirikjian, The banana distribution is Gaussian, 2012.
     """
     A = np.zeros((2, 6))
@@ -127,7 +140,8 @@ class Outcome:
         self.euler = euler(self.twist, self.duration, steps)
         noise = PlanarNoise(SIGMA_V, sigma_omega)
         self.ends = integrate_noisy(self.twist, noise, normal[:samples])[:, :2, 3]
-        # However it bends, an arc of length L stays between -0.22 L and L ahead and within 0.73 L to the sides, so the
+        # However it bends, an arc of length L stays between -0.22 L and L ahead and within 0.73 L to the
+        # sides, so the
         # view need not move when omega does.
         speed = np.linalg.norm(self.twist[:3])
         self.reach = round_up(1.05 * max(speed * self.duration, 4 * SIGMA_V * self.duration))
@@ -137,23 +151,13 @@ class Outcome:
 
 
 class TwistPicture(Picture):
-    """A frame moving along its screw, true and by Euler's method; from above, the cloud of where noise may put it.
+    """A frame moving along its screw, true and by Euler's method; where noise may put it, from above.
 
     seed : of the noise, drawn once, so that a slider changes the twist and not the luck.
     """
 
     name = "a twist integrated"
-    controls = {
-        "v_x": Number("v x, m/s", 5.0, -10.0, 10.0, 0.5),
-        "v_y": Number("v y, m/s", 0.0, -10.0, 10.0, 0.5),
-        "v_z": Number("v z, m/s", 0.0, -10.0, 10.0, 0.5),
-        "omega_x": Number("ω x, rad/s", 0.0, -1.0, 1.0, 0.05),
-        "omega_y": Number("ω y, rad/s", 0.0, -1.0, 1.0, 0.05),
-        "omega_z": Number("ω z, rad/s", 0.1, -1.0, 1.0, 0.05),
-        "samples": Number(f"time, × {TAU} s", 12, 1, SAMPLES, 1),
-        "steps": Number("Euler steps", 3, 1, 50, 1),
-        "sigma_omega": Number("σ of ω z, rad/s", 0.2, 0.0, 0.4, 0.01),
-    }
+    controls = CONTROLS
 
     def __init__(self, seed=0):
         self._last = None
@@ -162,35 +166,67 @@ class TwistPicture(Picture):
 
     def build(self):
         """The view in space on the left, the view from above on the right."""
-        self.space = add_axes(self, (0.01, 0.05, 0.48, 0.8), "In space: the frame along its screw", xticks=[], yticks=[],
-                              aspect="equal", adjustable="box")
+        self.space = add_axes(
+            self,
+            (0.01, 0.05, 0.48, 0.8),
+            "In space: the frame along its screw",
+            xticks=[],
+            yticks=[],
+            aspect="equal",
+            adjustable="box",
+        )
         self.space.grid(False)
         for spine in self.space.spines.values():
             spine.set_visible(False)
         lines = {}
-        for name, style in (("ground", {"lw": 0.6, "color": "0.85"}),
-                            ("shadow", {"lw": 1.0, "color": "0.7", "label": "its shadow on z = 0"}),
-                            ("axis", {"lw": 1.2, "ls": "--", "color": COLOURS["smoother"], "label": "screw axis"}),
-                            ("triads", {"lw": 2.0})):
+        for name, style in (
+            ("ground", {"lw": 0.6, "color": "0.85"}),
+            ("shadow", {"lw": 1.0, "color": "0.7", "label": "its shadow on z = 0"}),
+            ("axis", {"lw": 1.2, "ls": "--", "color": COLOURS["smoother"], "label": "screw axis"}),
+            ("triads", {"lw": 2.0}),
+        ):
             lines[name] = self.space.add_collection(LineCollection([], **style), autolim=False)
         (self.path,) = self.space.plot([], [], "-", lw=1.6, color=COLOURS["truth"], label="exp")
         (self.euler,) = self.space.plot([], [], "o--", lw=1.4, ms=3.5, color=COLOURS["measured"], label="Euler")
         self.ground, self.shadow, self.axis, self.triads = self.moves(*lines.values())
         self.moves(self.path, self.euler)
         self.grid = self.figure.text(0.02, 0.02, "", fontsize=9, color="0.35")  # changes only when the frame does
-        legend(self.space, [self.path, self.euler, self.axis, self.shadow], columns=2, loc="lower left", bbox_to_anchor=(0, 1),
-               frameon=False, borderaxespad=0)
+        legend(
+            self.space,
+            [self.path, self.euler, self.axis, self.shadow],
+            columns=2,
+            loc="lower left",
+            bbox_to_anchor=(0, 1),
+            frameon=False,
+            borderaxespad=0,
+        )
         self.space.set_title(self.space.get_title("left"), fontsize=10, loc="left", pad=35)
 
-        self.above = add_axes(self, (0.56, 0.1, 0.37, 0.74), "From above: where noise on v x, v y, ω z may put it", "x, m", "y, m",
-                              aspect="equal", adjustable="box")
+        self.above = add_axes(
+            self,
+            (0.56, 0.1, 0.37, 0.74),
+            "From above: where noise on v x, v y, ω z may put it",
+            "x, m",
+            "y, m",
+            aspect="equal",
+            adjustable="box",
+        )
         (self.cloud,) = self.above.plot([], [], ".", ms=2.5, color="0.55", label=f"{PARTICLES} noisy runs")
         (self.mean_path,) = self.above.plot([], [], "-", lw=1.2, color=COLOURS["truth"], label="exp")
         (self.plane,) = self.above.plot([], [], "--", lw=1.6, color=COLOURS["slam"], label="95 %: Gaussian in x, y")
-        (self.banana,) = self.above.plot([], [], "-", lw=1.8, color=COLOURS["posterior"], label="95 %: in exp coordinates")
+        (self.banana,) = self.above.plot(
+            [], [], "-", lw=1.8, color=COLOURS["posterior"], label="95 %: in exp coordinates"
+        )
         self.moves(self.cloud, self.mean_path, self.plane, self.banana)
-        legend(self.above, [self.cloud, self.mean_path, self.plane, self.banana], columns=2, loc="lower left",
-               bbox_to_anchor=(-0.12, 1), frameon=False, borderaxespad=0)
+        legend(
+            self.above,
+            [self.cloud, self.mean_path, self.plane, self.banana],
+            columns=2,
+            loc="lower left",
+            bbox_to_anchor=(-0.12, 1),
+            frameon=False,
+            borderaxespad=0,
+        )
         self.above.set_title(self.above.get_title("left"), fontsize=10, loc="left", pad=35, x=-0.1)
 
     def draw(self, **state):
@@ -198,7 +234,7 @@ class TwistPicture(Picture):
         self._show(self.outcome(**state))
 
     def outcome(self, v_x, v_y, v_z, omega_x, omega_y, omega_z, samples, steps, sigma_omega):
-        """What there is to show: an `Outcome`. The last one is kept, because picture and caption ask for the same."""
+        """What there is to show, an `Outcome`; the last is kept, as picture and caption ask for the same."""
         key = (v_x, v_y, v_z, omega_x, omega_y, omega_z, samples, steps, sigma_omega)
         if self._last is None or self._last.key != key:
             self._last = Outcome(key, self.normal)
@@ -222,8 +258,11 @@ class TwistPicture(Picture):
         self.triads.set_segments(np.moveaxis(arms, 3, 1).reshape(-1, 2, 3) @ VIEW.T)
         self.triads.set_color(AXIS_COLOURS * len(frames))
         axis = screw_axis(twist)
-        self.axis.set_segments([] if axis is None else [(axis[1] + reach * axis[0]) @ VIEW.T
-                                                        for reach in 4 * side * np.array([[[-1], [1]]])])
+        self.axis.set_segments(
+            []
+            if axis is None
+            else [(axis[1] + reach * axis[0]) @ VIEW.T for reach in 4 * side * np.array([[[-1], [1]]])]
+        )
         self._draw_ground(outcome)
 
     def _draw_ground(self, outcome):
@@ -231,7 +270,7 @@ class TwistPicture(Picture):
         middle = np.round(outcome.centre[:2] / cell) * cell
         low, high = middle - 5 * cell, middle + 5 * cell
         xs, ys = (np.arange(a, b + cell / 2, cell) for a, b in zip(low, high))
-        lines = ([[(x, low[1], 0), (x, high[1], 0)] for x in xs] + [[(low[0], y, 0), (high[0], y, 0)] for y in ys])
+        lines = [[(x, low[1], 0), (x, high[1], 0)] for x in xs] + [[(low[0], y, 0), (high[0], y, 0)] for y in ys]
         self.ground.set_segments(np.array(lines) @ VIEW.T)
         self.grid.set_text(f"ground: squares of {cell:g} m; axes x red, y green, z blue")
 
@@ -250,12 +289,18 @@ class TwistPicture(Picture):
         off = np.linalg.norm(end[:3, 3] - se3.exp(outcome.duration * outcome.twist)[:3, 3])
         stretch = np.cbrt(np.linalg.det(end[:3, :3]))
         held = [Path(outline).contains_points(outcome.ends).mean() for outline in (outcome.banana, outcome.plane)]
-        return (f"After {outcome.duration:.1f} s Euler with {state['steps']} steps is {off:.2f} m off, its axes "
-                f"{stretch:.2f} times as long. Of the noisy runs the outline in exp coordinates holds {held[0]:.0%}, "
-                f"the ellipse in x and y {held[1]:.0%}.")
+        return (
+            f"After {outcome.duration:.1f} s Euler with {state['steps']} steps is {off:.2f} m off, its axes "
+            f"{stretch:.2f} times as long. Of the noisy runs the outline in exp coordinates holds "
+            f"{held[0]:.0%}, "
+            f"the ellipse in x and y {held[1]:.0%}."
+        )
 
     def alt(self, **state):
         """The picture in words."""
-        return ("A frame moving along its screw axis in space, with Euler's polygon beside it; from above, a cloud of noisy "
-                "end positions, a curved 95 % outline from exponential coordinates and a straight 95 % ellipse. "
-                + self.caption(**state))
+        return (
+            "A frame moving along its screw axis in space, with Euler's polygon beside it; from above, a "
+            "cloud of noisy "
+            "end positions, a curved 95 % outline from exponential coordinates and a straight 95 % ellipse. "
+            + self.caption(**state)
+        )
