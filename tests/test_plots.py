@@ -299,10 +299,13 @@ def test_trajectory_figures_show_the_paths_and_their_ellipses(result):
     assert len(dead.get_segments()) == 12
 
 
-def test_ellipses_of_landmarks_belong_to_landmarks_in_the_view_and_are_short(result):
-    axes, = report_figures.slam_landmarks(result).axes
+@pytest.mark.parametrize("which", ["initial", "slam"])
+def test_ellipses_of_landmarks_belong_to_landmarks_in_the_view_and_are_short(result, which):
+    draw, belief = {"initial": (report_figures.initial_landmarks, result.initial),
+                    "slam": (report_figures.slam_landmarks, result.slam.map)}[which]
+    axes, = draw(result).axes
     collection, = outlines(axes)
-    belief, width = result.slam.map, np.ptp(axes.get_xlim())
+    width = np.ptp(axes.get_xlim())
     assert 5 < len(collection.get_segments()) <= report_figures.ELLIPSES
     for outline in collection.get_segments():
         centre = (outline[:-1].min(axis=0) + outline[:-1].max(axis=0)) / 2

@@ -131,7 +131,8 @@ def _draw_some_ellipses(axes, view, belief, method):
     shown = shown[::every]
     outlines = style.ellipse_points(np.zeros(2), belief.covariance[shown, :2, :2])
     shown = shown[2 * np.linalg.norm(outlines, axis=-1).max(axis=-1) <= longest]
-    label = f"95 % of one landmark in {every}, if under {longest:.0f} m long"
+    which = f"one landmark in {every}" if every > 1 else "each landmark"
+    label = f"95 % of {which}, if under {longest:.0f} m long"
     plots.draw_ellipses(axes, belief.landmarks[shown], belief.covariance[shown], style.COLOURS[method], label)
 
 
