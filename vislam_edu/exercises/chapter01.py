@@ -32,7 +32,7 @@ def twists(rng):
 
 def vectors(rng):
     yield "x axis", (np.array([1.0, 0.0, 0.0]),)
-    yield "one, two, three", (np.array([1.0, 2.0, 3.0]),)
+    yield "[1, 2, 3]", (np.array([1.0, 2.0, 3.0]),)
     for _ in range(5):
         yield "random", (rng.normal(size=3),)
 

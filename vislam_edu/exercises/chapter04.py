@@ -12,7 +12,7 @@ from .inputs import CAMERA, perturbed, random_covariance, random_landmarks, rand
 
 def bare_points(rng):
     yield "the origin", (np.zeros(3),)
-    yield "one, two, three", (np.array([1.0, 2.0, 3.0]),)
+    yield "[1, 2, 3]", (np.array([1.0, 2.0, 3.0]),)
     for _ in range(4):
         yield "random", (rng.normal(size=3),)
 

@@ -95,7 +95,7 @@ def _(J, world_T_imu):
     return H, np.concatenate([-H, H @ se3.so3_hat(world_T_imu[:3, 3])], axis=-1)
 
 
-@invariant_jacobian.mistake("position forgotten in the world", """-J alone is the right perturbation's block, told in the
+@invariant_jacobian.mistake("told in the body frame", """-J alone is the right perturbation's block, told in the
 body frame. Here the position error is told in the world: -J R^T.""")
 def _(J, world_T_imu):
     return J @ world_T_imu[:3, :3].T, np.concatenate([-J, np.zeros_like(J)], axis=-1)

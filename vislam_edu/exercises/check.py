@@ -14,6 +14,7 @@ import os
 import textwrap
 
 from .exercise import EXERCISES, find
+from .running import copied
 from .verdict import Verdict, judge
 
 NBGRADER = "NBGRADER_EXECUTION"  # set by nbgrader in the kernels it starts
@@ -46,7 +47,7 @@ class Check:
         """The arguments of the input that the last check failed on, fresh, to call the function with."""
         if self.last is None or self.last.failing is None:
             raise ValueError(f"check.{self.exercise.name} has not found a failing input")
-        return tuple(value.copy() if hasattr(value, "copy") else value for value in self.last.failing)
+        return tuple(map(copied, self.last.failing))
 
     def __repr__(self):
         return f"check.{self.exercise.name}"

@@ -8,25 +8,27 @@ import textwrap
 
 import numpy as np
 
-from .comparing import ROUGH, canonical, close
+from .comparing import ROUGH, canonical, close, differs
 from .exercise import EXERCISES
-from .running import Outcome, _outcome
+from .running import Outcome, outcome_of
 
 
-def recognise(exercise, cases, outcomes, failing):
+def recognise(exercise, cases, outcomes, expected):
     """The mistake behind an answer's outcomes, and whether it explains every input: (Mistake or None, bool).
 
-    failing : indices of the inputs that came out wrong. A mistake that explains all inputs wins; else the one
-    that explains most of the failing ones.
+    expected : the right results. A mistake that explains all inputs wins; else the one that explains most of
+    those that came out wrong.
     """
+    wrong = [i for i, (outcome, should) in enumerate(zip(outcomes, expected))
+             if outcome.values is None or differs(exercise, outcome, should)]
     best, most = None, 0
     for mistake in exercise.mistakes:
         with np.errstate(all="ignore"):
-            same = [_same(exercise, outcome, _outcome(exercise, mistake.function, arguments))
+            same = [_same(exercise, outcome, outcome_of(exercise, mistake.function, arguments))
                     for outcome, (_, arguments) in zip(outcomes, cases)]
-        if all(same):
+        if wrong and all(same):
             return mistake, True
-        explained = sum(same[i] for i in failing)
+        explained = sum(same[i] for i in wrong)
         if explained > most:
             best, most = mistake, explained
     return best, False

@@ -57,7 +57,7 @@ def answers(exercise, function, cases, limit=LIMIT) -> tuple[list[Outcome], str]
         try:
             with np.errstate(all="ignore"):
                 for _, arguments in cases:
-                    outcomes.append(_outcome(exercise, function, arguments))
+                    outcomes.append(outcome_of(exercise, function, arguments))
                     if outcomes[-1].blank:
                         return
         except _Stop:
@@ -83,7 +83,8 @@ def _stop(thread) -> str:
     return "running"
 
 
-def _outcome(exercise, function, arguments) -> Outcome:
+def outcome_of(exercise, function, arguments) -> Outcome:
+    """Call a function on copies of the arguments and read its result."""
     given = [copied(argument) for argument in arguments]
     try:
         result = function(*given)
@@ -105,6 +106,7 @@ def _outcome(exercise, function, arguments) -> Outcome:
 
 
 def copied(argument):
+    """An argument that may be written to: arrays are copied, all else (numbers, the camera) cannot change."""
     return argument.copy() if isinstance(argument, np.ndarray) else argument
 
 

@@ -50,7 +50,7 @@ def judge(exercise: Exercise, function, limit=LIMIT) -> Verdict:
             "\n  (Your numbers have fewer than 64 bits and were compared to 1e-4; a filter needs float64.)"
         return Verdict(name, RIGHT, f"{name}: right, on {_tried(cases)}, "
                                     f"to {short(exercise.tolerance)} of the largest entry{rough}")
-    return _wrong(exercise, cases, outcomes, reasons, failing)
+    return _wrong(exercise, cases, outcomes, expected, reasons)
 
 
 def _reason(exercise, outcome, expected) -> str:
@@ -63,13 +63,13 @@ def _reason(exercise, outcome, expected) -> str:
     return reason
 
 
-def _wrong(exercise, cases, outcomes, reasons, failing) -> Verdict:
-    first = failing[0]
+def _wrong(exercise, cases, outcomes, expected, reasons) -> Verdict:
+    first = next(i for i, reason in enumerate(reasons) if reason)
     label, arguments = cases[first]
     lines = [f"{exercise.name}: wrong, on input {first + 1} of {len(cases)} ({label})"]
     lines += [argument(*pair) for pair in zip(exercise.arguments, arguments)]
     lines.append(reasons[first])
-    mistake, sure = museum.recognise(exercise, cases, outcomes, failing)
+    mistake, sure = museum.recognise(exercise, cases, outcomes, expected)
     if mistake:
         lines.append(f"{'Most likely' if sure else 'Perhaps'}: {mistake.name}. {mistake.hint}")
     lines.append(f"To try this input: {exercise.name}(*check.{exercise.name}.failing)")
@@ -95,4 +95,4 @@ def _too_slow(exercise, case, ended, limit) -> Verdict:
 
 def _tried(cases) -> str:
     labels = Counter(label for label, _ in cases)
-    return f"{len(cases)} inputs ({', '.join(f'{n} {label}' if n > 1 else label for label, n in labels.items())})"
+    return f"{len(cases)} inputs ({'; '.join(f'{n} {label}' if n > 1 else label for label, n in labels.items())})"

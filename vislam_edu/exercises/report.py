@@ -1,0 +1,118 @@
+"""The exercises from the shell: submissions graded, the museum as a table, stubs for authors.
+
+    python -m vislam_edu exercises --report submissions --out results
+    python -m vislam_edu exercises --museum
+    python -m vislam_edu exercises --stubs 3
+"""
+
+import argparse
+import csv
+import dataclasses
+import json
+from collections import Counter
+from pathlib import Path
+
+from . import cells, grading, museum
+from .exercise import EXERCISES
+from .verdict import NOT_WRITTEN, RIGHT, WRONG
+
+_COLUMNS = (RIGHT, WRONG, NOT_WRITTEN, grading.NO_VERDICT)
+
+
+def add_arguments(parser):
+    """The arguments of `exercises`."""
+    what = parser.add_mutually_exclusive_group(required=True)
+    what.add_argument("--report", type=Path, metavar="PATH",
+                      help="run a submitted notebook, or all in a folder, and say which checks passed; this runs "
+                           "their code: see the README before you run strangers' notebooks")
+    what.add_argument("--museum", action="store_true", help="print every exercise, its mistakes and their hints")
+    what.add_argument("--stubs", type=int, choices=sorted({e.chapter for e in EXERCISES.values()}),
+                      metavar="CHAPTER", help="print the exercise cells of a chapter, for authors")
+    parser.add_argument("--out", type=Path, default=Path(), metavar="DIR",
+                        help="where --report writes exercises.csv and exercises.json (default: here)")
+    parser.add_argument("--limit", type=_seconds, default=grading.LIMIT, metavar="S",
+                        help=f"seconds that one submitted notebook may take (default: {grading.LIMIT:g})")
+
+
+def _seconds(text):
+    value = float(text)
+    if not 0 < value < float("inf"):
+        raise argparse.ArgumentTypeError(f"{text} is not a number of seconds above 0")
+    return value
+
+
+def run(arguments) -> int:
+    """Do what the arguments ask for; returns the exit status. Raises OSError for paths that do not work."""
+    if arguments.museum:
+        print(museum.table())
+    elif arguments.stubs is not None:
+        print(stubs(arguments.stubs))
+    else:
+        arguments.out.mkdir(parents=True, exist_ok=True)
+        submissions = graded(arguments.report, arguments.limit)
+        print(table(submissions))
+        write(submissions, arguments.out)
+        print(f"written to {arguments.out / 'exercises.csv'} and {arguments.out / 'exercises.json'}")
+    return 0
+
+
+def main(argv=None) -> int:
+    parser = argparse.ArgumentParser(prog="python -m vislam_edu.exercises", description=__doc__.splitlines()[0])
+    add_arguments(parser)
+    return run(parser.parse_args(argv))
+
+
+def stubs(chapter) -> str:
+    """The cells of a chapter's exercises as text."""
+    chosen = [exercise for exercise in EXERCISES.values() if exercise.chapter == chapter]
+    return "\n\n\n".join(text for exercise in chosen for text in cells.source(exercise))
+
+
+# --- submissions ------------------------------------------------------------------------------------------
+
+def graded(path: Path, limit=grading.LIMIT) -> list[grading.Submission]:
+    """Run the notebooks at a path one after the other, with a progress bar. limit : s, for each."""
+    from tqdm import tqdm
+
+    root = path if path.is_dir() else path.parent
+    return [grading.grade(file, file.relative_to(root).as_posix(), limit)
+            for file in tqdm(grading.notebooks(path), unit="notebook", leave=False, disable=None)]
+
+
+def table(submissions) -> str:
+    """Counts for each notebook, and below it what is not right."""
+    width = max(len(submission.name) for submission in submissions)
+    lines = [" " * width + "".join(f"{column:>17}" for column in _COLUMNS)]
+    for submission in submissions:
+        counts = Counter(result.status for result in submission.results)
+        lines.append(submission.name.ljust(width) + "".join(f"{counts[column]:>17}" for column in _COLUMNS))
+        if submission.problem:
+            lines.append(f"    {submission.problem}")
+        for result in submission.results:
+            if result.status != RIGHT:
+                lines.append(f"    {result.exercise}: {result.status}" + _why(result))
+    return "\n".join(lines)
+
+
+def _why(result) -> str:
+    if result.mistake:
+        return f": {result.mistake}"
+    return f" ({result.detail})" if result.status == grading.NO_VERDICT and result.detail else ""
+
+
+def write(submissions, folder: Path) -> None:
+    """exercises.csv, one row for each exercise of each notebook, and exercises.json with the same in full."""
+    fields = ["notebook", "chapter", "exercise", "status", "mistake"]
+    with open(folder / "exercises.csv", "w", newline="", encoding="utf-8") as file:
+        rows = csv.writer(file)
+        rows.writerow(fields)
+        for submission in submissions:
+            if submission.problem:
+                rows.writerow([submission.name, "", "", submission.problem, ""])
+            rows.writerows([submission.name, result.chapter, result.exercise, result.status, result.mistake]
+                           for result in submission.results)
+    content = [{"notebook": submission.name, "problem": submission.problem,
+                "exercises": [{"chapter": result.chapter} | dataclasses.asdict(result)
+                              for result in submission.results]} for submission in submissions]
+    text = json.dumps(content, indent=2, ensure_ascii=False)
+    (folder / "exercises.json").write_text(text + "\n", encoding="utf-8")
