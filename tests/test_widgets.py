@@ -112,6 +112,11 @@ def test_still_has_the_pixels_of_the_live_picture_and_says_what_it_shows():
     assert metadata["image/png"]["alt"] == "a line 2.0 m high"
 
 
+def test_still_starts_from_the_controls_and_takes_the_half_step_first():
+    assert Bar().still(filled=True).png == Bar().still(height=1.0, filled=True).png
+    assert Half(history(3)).still(5).alt == "a dot at 2.5"
+
+
 def test_half_steps_show_prior_then_posterior(stepper):
     shown = []
     for i in range(10):

@@ -112,15 +112,21 @@ class Picture:
         """The picture in words, for a reader who cannot see it."""
         raise NotImplementedError
 
-    def png(self, **state) -> bytes:
+    @property
+    def start(self) -> dict[str, float]:
+        """What the controls begin with: `png` and `still` fill in those that are not given."""
+        return {name: control.value for name, control in self.controls.items()}
+
+    def png(self, *args, **state) -> bytes:
         """The picture of this state as fast as it can be had: what stands still is drawn once and kept."""
-        self.draw(**state)
+        self.draw(*args, **self.start | state)
         return _png(self._pixels(), _FAST)
 
-    def still(self, **state) -> Still:
+    def still(self, *args, **state) -> Still:
         """The picture of this state for keeping: the same pixels, packed small, with alternative text."""
-        self.draw(**state)
-        return Still(_png(self._pixels(), _SMALL), self.alt(**state))
+        state = self.start | state
+        self.draw(*args, **state)
+        return Still(_png(self._pixels(), _SMALL), self.alt(*args, **state))
 
     def frame(self, axes, centre, half):
         """Set equal axes to the square of half side `half` around `centre` (2,).

@@ -150,7 +150,7 @@ class ImagePanel:
     def draw(self, innovation, pixels, projected=None, chosen=()):
         """innovation : `kalman.Innovation`. pixels : (n, 4), all that was measured. chosen : (2,) or empty.
 
-        projected : (m, 4), where the belief that is shown puts the landmarks of the innovation, by default as predicted.
+        projected : (m, 4), where the shown belief puts the landmarks of the innovation, by default as predicted.
         """
         measured, predicted = innovation.measured[:, :2], innovation.predicted[:, :2]
         projected = predicted if projected is None else projected[:, :2]
