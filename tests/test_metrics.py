@@ -1,6 +1,7 @@
 """Metrics: against the evo library, against the KITTI devkit told line by line, and on known answers."""
 
 import itertools
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -172,3 +173,14 @@ def test_chi2_band_holds_its_share(dof, runs):
 def test_chi2_band_rejects_nonsense(arguments, message):
     with pytest.raises(ValueError, match=message):
         metrics.chi2_band(*arguments)
+
+
+def step_with(*nis):
+    return SimpleNamespace(innovation=SimpleNamespace(nis=np.array(nis)))
+
+
+def test_average_nis_is_over_measurements_not_frames_and_leaves_out_points_behind_the_camera():
+    steps = [step_with(2.0, 3.0, 100.0), step_with(), step_with(np.inf), step_with(7.0)]
+    assert metrics.average_nis(iter(steps)) == 28
+    assert np.isnan(metrics.average_nis([step_with()]))
+    assert np.isnan(metrics.average_nis([]))

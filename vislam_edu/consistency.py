@@ -75,7 +75,7 @@ class Study:
     """What one filter did over N drives of T frames.
 
     seeds : (N,). nees_pose, nees_rotation, nees_position : (N, T), see `metrics.pose_nees`.
-    nis : (N,) mean NIS of one measurement. measurements : (N,) how many there were.
+    nis : (N,) mean NIS of one measurement. measurements : (N,) how many that is the mean of.
     error : (N, T) m, distance of the estimated from the true position, both seen from frame 0: the drift,
     which is what the sensors can tell. error_world : (N, T) m, the same in the world, the error of the
     initial pose included.
@@ -111,7 +111,7 @@ def judge(drive, candidate, world_T_imu):
         "nees_rotation": nees.rotation,
         "nees_position": nees.position,
         "nis": metrics.average_nis(steps),
-        "measurements": sum(len(step.innovation.ids) for step in steps),
+        "measurements": sum(int(np.isfinite(step.innovation.nis).sum()) for step in steps),
         "error": metrics.position_errors(*from_start),
         "error_world": metrics.position_errors(true, estimated),
     }

@@ -189,7 +189,7 @@ def average_nis(steps) -> float:
     honest.
 
     steps : iterable of `Step`. Gated measurements count too: leaving out the large ones would flatter the
-        filter.
+    filter. A point predicted behind the camera has no NIS (it is infinite there) and is left out.
     NaN when nothing was ever predicted.
 
     v_left and v_right share one prediction, yet both carry noise of their own, so there are 4 degrees of
@@ -198,6 +198,7 @@ def average_nis(steps) -> float:
     Source: Bar-Shalom et al., section 5.4.2.
     """
     values = np.concatenate([np.empty(0), *(step.innovation.nis for step in steps)])
+    values = values[np.isfinite(values)]
     return float(values.mean()) if values.size else np.nan
 
 
