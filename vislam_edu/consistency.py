@@ -165,7 +165,7 @@ def monte_carlo(make_drive, filters, seeds, out=None):
     if not seeds or len(set(seeds)) < len(seeds):
         raise ValueError(f"seeds must be at least one, and all different, got {seeds}")
     study = joblib.hash((make_drive, filters))
-    paths = [None] * len(seeds)
+    paths: list[Path | None] = [None] * len(seeds)
     if out is not None:
         Path(out).mkdir(parents=True, exist_ok=True)
         paths = [Path(out) / f"seed_{seed:05d}.npz" for seed in seeds]
