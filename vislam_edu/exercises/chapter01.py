@@ -139,7 +139,7 @@ def _(phi):
 
 @exercise(chapter=1, cases=twists, shows=[se3.exp, se3.hat, se3._angle_functions], hints=[
     "The rotation is so3_exp(omega). The translation is not v: the body turns while it moves.",
-    "The translation is V v with V = I + (1 - cos t) / t^2 S + (t - sin t) / t^3 S S and S = so3_hat(omega). " + _SMALL])
+    "The translation is V v with V = I + (1 - cos t) / t^2 S + (t - sin t) / t^3 S S, S = so3_hat(omega). " + _SMALL])
 def se3_exp(xi):
     """Pose reached by following a constant twist for one unit of time.
 
@@ -317,7 +317,8 @@ def _(world_T_imu, twists, taus):
     return np.array(poses)
 
 
-@dead_reckon.mistake("tau forgotten", "A twist is a velocity: multiply it by the time it lasts before you exponentiate.")
+@dead_reckon.mistake("tau forgotten", """A twist is a velocity: multiply it by the time it lasts before you
+exponentiate.""")
 def _(world_T_imu, twists, taus):
     return dead_reckon.reference(world_T_imu, twists, np.ones_like(taus))
 

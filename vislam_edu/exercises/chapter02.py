@@ -180,7 +180,8 @@ def _(K, baseline, pixels):
     return _by_disparity(K, baseline, pixels, d), d > 0
 
 
-@triangulate.mistake("disparity of the wrong sign", "Seen from the right camera everything moves left: d = u_left - u_right.")
+@triangulate.mistake("disparity of the wrong sign", """Seen from the right camera everything moves left: d =
+u_left - u_right.""")
 def _(K, baseline, pixels):
     d = pixels[:, 2] - pixels[:, 0]
     return _by_disparity(K, baseline, pixels, d), d > 0
@@ -209,7 +210,7 @@ def _H(K, baseline, point):
 
 
 @exercise(chapter=2, cases=points_and_sigma, hints=[
-    "Four measurements of equal noise, three unknowns: least squares. H is the derivative of the four pixels by x, y, z.",
+    "Four measurements of equal noise, three unknowns: least squares. H: the derivative of the pixels by x, y, z.",
     "(H^T V^-1 H)^-1 with V = sigma_px^2 I; H is the first three columns of K_s dpi/dq."],
     shows=[StereoCamera.triangulation_covariance, StereoCamera.projection_jacobian, stereo.dpi_dq])
 def triangulation_covariance(K, baseline, point, sigma_px):

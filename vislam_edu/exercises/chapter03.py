@@ -21,7 +21,7 @@ def _homogeneous(points_cam):
     return np.concatenate([points_cam, np.ones(points_cam.shape[:-1] + (1,))], axis=-1)
 
 
-@exercise(chapter=3, cases=points, shows=[StereoCamera.project, stereo.pi, StereoCamera.K_s.func], hints=[
+@exercise(chapter=3, cases=points, shows=[StereoCamera.project, stereo.pi, vars(StereoCamera)["K_s"].func], hints=[
     "Make the points homogeneous, q = [x, y, z, 1], divide by the depth, multiply with camera.K_s.",
     "(camera.K_s @ (q / q[:, 2:3]).T).T; the last entry of q / q_3 is 1/z, which is what the baseline needs."])
 def project(camera, points_cam):
@@ -170,7 +170,7 @@ def _(camera, world_T_imu, landmark):
 # --- Kalman update ----------------------------------------------------------------------------------------
 
 def updates(rng):
-    for n, m in [(1, 1), (3, 4), (3, 4), (6, 8), (6, 8)]:
+    for n, m in [(1, 1), (3, 2), (3, 2), (6, 4), (6, 4)]:
         yield f"{n} unknowns, {m} measurements", (random_covariance(rng, n, 1.0), rng.normal(size=(m, n)),
                                                   random_covariance(rng, m, 1.0), rng.normal(size=m))
 
@@ -192,24 +192,28 @@ def kalman_update(covariance, H, V, residual):
     return kalman.update(covariance, H, V, residual)
 
 
-@kalman_update.mistake("noise left out of S", "S = H P H^T + V: the residual also scatters by the noise of the measurement.")
+@kalman_update.mistake("noise left out of S", """S = H P H^T + V: the residual also scatters by the noise of the
+measurement.""")
 def _(covariance, H, V, residual):
-    K = covariance @ H.T @ np.linalg.pinv(H @ covariance @ H.T)
+    K = covariance @ H.T @ np.linalg.inv(H @ covariance @ H.T)
     return K @ residual, (np.eye(len(covariance)) - K @ H) @ covariance
 
 
-@kalman_update.mistake("covariance of the wrong sign", "A measurement never makes you less sure: (I - K H) P, not (I + K H) P.")
+@kalman_update.mistake("covariance of the wrong sign", """A measurement never makes you less sure: (I - K H) P,
+not (I + K H) P.""")
 def _(covariance, H, V, residual):
     K = _gain(covariance, H, V)
     return K @ residual, (np.eye(len(covariance)) + K @ H) @ covariance
 
 
-@kalman_update.mistake("covariance not updated", "The mean has moved, so the filter has learned: the covariance shrinks.")
+@kalman_update.mistake("covariance not updated", """The mean has moved, so the filter has learned: the
+covariance shrinks.""")
 def _(covariance, H, V, residual):
     return _gain(covariance, H, V) @ residual, covariance.copy()
 
 
-@kalman_update.mistake("Joseph form without K V K^T", """(I - K H) P (I - K H)^T is only half of the Joseph form; the noise
+@kalman_update.mistake("Joseph form without K V K^T", """(I - K H) P (I - K H)^T is only half of the Joseph
+form; the noise
 that came in through the gain is the other half.""")
 def _(covariance, H, V, residual):
     K = _gain(covariance, H, V)
@@ -265,7 +269,8 @@ def _(V, n):
     return np.kron(np.eye(n), np.diag(np.diag(V)))
 
 
-@stacked_noise.mistake("V of one measurement", "One V for each of the n measurements: (4n, 4n), not the sum or mean of them.")
+@stacked_noise.mistake("V of one measurement", """One V for each of the n measurements: (4n, 4n), not the sum or
+mean of them.""")
 def _(V, n):
     return block_diag(V, np.zeros((4 * n - 4, 4 * n - 4)))
 
@@ -315,7 +320,8 @@ def _(landmarks, ids, accepted, delta):
     return new
 
 
-@correct_landmarks.mistake("correction put in place of the landmark", "delta is a correction: add it (+=), do not assign it (=).")
+@correct_landmarks.mistake("correction put in place of the landmark", """delta is a correction: add it (+=), do
+not assign it (=).""")
 def _(landmarks, ids, accepted, delta):
     new = landmarks.copy()
     new[ids[accepted]] = delta[accepted]

@@ -48,7 +48,7 @@ def _(point):
 
 @exercise(chapter=4, cases=one_landmark, hints=[
     "A right perturbation moves the point in the IMU frame: (T exp(e^))^-1 m = exp(-e^) s, about s - odot(s) e.",
-    "-camera.projection_jacobian(q) @ camera.cam_T_imu @ se3.odot(s), s the landmark in the IMU frame, q in the camera."],
+    "-camera.projection_jacobian(q) @ camera.cam_T_imu @ se3.odot(s), s: landmark in the IMU frame, q: in the camera."],
     shows=[StereoCamera.pose_jacobian, StereoCamera.projection_jacobian, se3.odot])
 def pose_jacobian(camera, world_T_imu, landmark):
     """Derivative of the pixels by the right perturbation e of T exp(e^), at e = 0.
@@ -120,7 +120,7 @@ def _correction(camera, world_T_imu, covariance, landmarks, pixels, V):
 @exercise(chapter=4, cases=frames, shows=[odometry.observe, kalman.update], outputs=("world_T_imu", "covariance"),
           tolerance=1e-7, hints=[
     "Stack the Jacobians (4n, 6) and the residuals (4n,), do one Kalman update, and apply its correction on the pose.",
-    "delta, P = kalman.update(P, H.reshape(-1, 6), sigma_px**2 * np.eye(4n), residual.ravel()), then T @ se3.exp(delta)."])
+    "delta, P = kalman.update(P, H.reshape(-1, 6), sigma_px**2 * np.eye(4n), residual.ravel()); T @ se3.exp(delta)."])
 def pose_update(camera, world_T_imu, covariance, landmarks, pixels, sigma_px):
     """EKF update of a pose against n landmarks whose positions are known, all at once.
 
@@ -159,7 +159,8 @@ def _(camera, world_T_imu, covariance, landmarks, pixels, sigma_px):
     return world_T_imu @ se3.pose(se3.so3_exp(delta[3:]), delta[:3]), P
 
 
-@pose_update.mistake("np.tile in place of the Kronecker product", """The noise of n measurements is I (x) V. np.tile puts
+@pose_update.mistake("np.tile in place of the Kronecker product", """The noise of n measurements is I (x) V.
+np.tile puts
 V between different landmarks too, as if they all shared one noise.""")
 def _(camera, world_T_imu, covariance, landmarks, pixels, sigma_px):
     V = np.tile(sigma_px**2 * np.eye(4), (len(pixels), len(pixels)))

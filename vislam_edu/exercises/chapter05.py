@@ -47,7 +47,8 @@ def _(covariance, F, W):
     return _carried(covariance, F, W, cross=False)
 
 
-@predict_joint.mistake("one cross-covariance not written", """Both cross blocks change, one is the transpose of the other:
+@predict_joint.mistake("one cross-covariance not written", """Both cross blocks change, one is the transpose of
+the other:
 writing P_LR alone leaves the matrix unsymmetric.""")
 def _(covariance, F, W):
     n = len(covariance) - 6
@@ -81,7 +82,8 @@ def _(covariance, F, W):
     return new
 
 
-@predict_joint.mistake("pose taken to come first", "The state is ordered landmarks first, then pose: the pose is the last six.")
+@predict_joint.mistake("pose taken to come first", """The state is ordered landmarks first, then pose: the pose
+is the last six.""")
 def _(covariance, F, W):
     Phi = block_diag(F, np.eye(len(covariance) - 6))
     return Phi @ covariance @ Phi.T + block_diag(W, np.zeros_like(covariance[6:, 6:]))
@@ -115,7 +117,7 @@ def _G(world_T_imu, point_imu):
 @exercise(chapter=5, cases=births, shows=[slam.add_correlated, RightPerturbation.birth],
           outputs=("landmark", "covariance"), hints=[
     "m = R s + p. An error of the pose moves the new landmark by G e, an error of s by R times it.",
-    "G = R [I, -s^]; own block G P_RR G^T + R C R^T; with every old variable, landmarks too, G P_R. (the pose's rows of P)."])
+    "G = R [I, -s^]; own block G P_RR G^T + R C R^T; with every old variable G P[-6:], landmarks included."])
 def new_landmark(covariance, world_T_imu, point_imu, C):
     """A landmark joins the state, its first measurement used once; it stands after the old landmarks, before the pose.
 
@@ -151,7 +153,8 @@ def _(covariance, world_T_imu, point_imu, C):
     return _born(covariance, world_T_imu, point_imu, G, R @ C @ R.T, np.zeros((3, len(covariance))))
 
 
-@new_landmark.mistake("the report's 2 I", """The report gives every new landmark 2 m^2 per axis and no correlation. A far
+@new_landmark.mistake("the report's 2 I", """The report gives every new landmark 2 m^2 per axis and no
+correlation. A far
 one is known worse, a near one better, and all of them share the error of the pose.""")
 def _(covariance, world_T_imu, point_imu, C):
     G = _G(world_T_imu, point_imu)
@@ -182,7 +185,8 @@ def _(covariance, world_T_imu, point_imu, C):
     return _born(covariance, world_T_imu, point_imu, G, G @ covariance[-6:, -6:] @ G.T + R @ C @ R.T)
 
 
-@new_landmark.mistake("put after the pose", "The order is landmarks first, then pose: the new landmark goes in front of the pose.")
+@new_landmark.mistake("put after the pose", """The order is landmarks first, then pose: the new landmark goes in
+front of the pose.""")
 def _(covariance, world_T_imu, point_imu, C):
     m, P = new_landmark.reference(covariance, world_T_imu, point_imu, C)
     n = len(covariance) - 6
@@ -233,18 +237,21 @@ def _(H_landmark, H_pose, rows, n):
     return H.reshape(len(rows), 4, -1).swapaxes(0, 1).reshape(4 * len(rows), -1)
 
 
-@joint_jacobian.mistake("rows ignored", """Measurement i shows landmark rows[i], not landmark i: its block goes to columns
+@joint_jacobian.mistake("rows ignored", """Measurement i shows landmark rows[i], not landmark i: its block goes
+to columns
 3 rows[i] and on.""")
 def _(H_landmark, H_pose, rows, n):
     return _assembled(H_landmark, H_pose, n, lambda i: slice(3 * i, 3 * i + 3))
 
 
-@joint_jacobian.mistake("pose taken to come first", "The state is ordered landmarks first, then pose: the pose has the last six columns.")
+@joint_jacobian.mistake("pose taken to come first", """The state is ordered landmarks first, then pose: the pose
+has the last six columns.""")
 def _(H_landmark, H_pose, rows, n):
     return np.roll(joint_jacobian.reference(H_landmark, H_pose, rows, n), 6, axis=1)
 
 
-@joint_jacobian.mistake("pose block forgotten", "Every measurement depends on the pose too: its block goes into the last six columns.")
+@joint_jacobian.mistake("pose block forgotten", """Every measurement depends on the pose too: its block goes
+into the last six columns.""")
 def _(H_landmark, H_pose, rows, n):
     return joint_jacobian.reference(H_landmark, 0 * H_pose, rows, n)
 
@@ -252,8 +259,9 @@ def _(H_landmark, H_pose, rows, n):
 def joint_updates(rng):
     for n in (1, 2, 3):
         d = 3 * n + 6
-        yield f"{n} landmarks", (random_pose(rng), rng.normal(size=(n, 3)), random_covariance(rng, d, 0.3),
-                                 rng.normal(size=(4 * n, d)), rng.normal(size=4 * n), random_covariance(rng, 4 * n, 0.5))
+        yield f"{n} landmark{'s' * (n > 1)}", (
+            random_pose(rng), rng.normal(size=(n, 3)), random_covariance(rng, d, 0.3),
+            rng.normal(size=(4 * n, d)), rng.normal(size=4 * n), random_covariance(rng, 4 * n, 0.5))
 
 
 def _moved(world_T_imu, landmarks, delta, P):
@@ -283,7 +291,8 @@ def _(world_T_imu, landmarks, covariance, H, residual, V):
     return world_T_imu @ se3.exp(delta[n:]), landmarks + delta[:n].reshape(3, -1).T, P
 
 
-@joint_update.mistake("cross-covariances cut", """Landmarks and pose were taken for independent. Their correlation is what
+@joint_update.mistake("cross-covariances cut", """Landmarks and pose were taken for independent. Their
+correlation is what
 lets a measurement of one landmark correct the others.""")
 def _(world_T_imu, landmarks, covariance, H, residual, V):
     n = landmarks.size
@@ -291,7 +300,8 @@ def _(world_T_imu, landmarks, covariance, H, residual, V):
     return _moved(world_T_imu, landmarks, *kalman.update(apart, H, V, residual))
 
 
-@joint_update.mistake("chained indexing updates a copy", """new[seen][...] += ... changes a temporary array: the landmarks
+@joint_update.mistake("chained indexing updates a copy", """new[seen][...] += ... changes a temporary array:
+the landmarks
 came back as they were. Index once.""")
 def _(world_T_imu, landmarks, covariance, H, residual, V):
     delta, P = kalman.update(covariance, H, V, residual)

@@ -27,7 +27,7 @@ def _stacked(landmark_rows, B):
     "The Adjoint of the pose takes the body's noise into the world. Its rotation part also turns the landmark errors.",
     "B = se3.Adjoint(world_T_imu) @ body_noise for the pose; m^ B_R for a landmark m, B_R the last three rows of B."])
 def invariant_noise(world_T_imu, landmarks, body_noise):
-    """How an error of the twist enters the right-invariant error over one step, landmarks first, then [position, rotation].
+    """How an error of the twist enters the right-invariant error, [landmarks, position, rotation], over one step.
 
     The transition itself is F = I. world_T_imu : (4, 4), the pose after the step. landmarks : (n, 3), m, world.
     body_noise : (6, 6), tau J_r(tau u), twist error to pose error in the body frame. Returns N (3n+6, 6), so that
@@ -43,13 +43,15 @@ def _(world_T_imu, landmarks, body_noise):
     return _stacked(np.zeros((len(landmarks), 3, 6)), se3.Adjoint(world_T_imu) @ body_noise)
 
 
-@invariant_noise.mistake("world and body mixed", """The IMU's noise is told in the body frame, the invariant error in the
+@invariant_noise.mistake("world and body mixed", """The IMU's noise is told in the body frame, the invariant
+error in the
 world: the Adjoint of the pose stands between them.""")
 def _(world_T_imu, landmarks, body_noise):
     return _stacked(se3.so3_hat(landmarks) @ body_noise[3:], body_noise)
 
 
-@invariant_noise.mistake("sign of m^", "A turn x of the world moves a landmark by x^ m = -m^ x, which its error has to make good: +m^ B_R.")
+@invariant_noise.mistake("sign of m^", """A turn x of the world moves a landmark by x^ m = -m^ x, which its
+error has to make good: +m^ B_R.""")
 def _(world_T_imu, landmarks, body_noise):
     B = se3.Adjoint(world_T_imu) @ body_noise
     return _stacked(-se3.so3_hat(landmarks) @ B[3:], B)
@@ -63,7 +65,8 @@ def _(world_T_imu, landmarks, body_noise):
     return _stacked(se3.so3_hat(landmarks) @ B[3:], B)
 
 
-@invariant_noise.mistake("Adjoint of the inverse", "From the body into the world goes Ad(world_T_imu), not that of its inverse.")
+@invariant_noise.mistake("Adjoint of the inverse", """From the body into the world goes Ad(world_T_imu), not
+that of its inverse.""")
 def _(world_T_imu, landmarks, body_noise):
     B = se3.Adjoint(se3.inverse(world_T_imu)) @ body_noise
     return _stacked(se3.so3_hat(landmarks) @ B[3:], B)
@@ -88,7 +91,8 @@ def invariant_jacobian(J, world_T_imu):
     return _INVARIANT.jacobians(world_T_imu, None, J)
 
 
-@invariant_jacobian.mistake("rotation kept", """Columns for the rotation other than zero tell the filter that one look at
+@invariant_jacobian.mistake("rotation kept", """Columns for the rotation other than zero tell the filter that
+one look at
 one landmark says something about the heading of the whole world. Nothing measures that.""")
 def _(J, world_T_imu):
     H = J @ world_T_imu[:3, :3].T
@@ -101,7 +105,8 @@ def _(J, world_T_imu):
     return J @ world_T_imu[:3, :3].T, np.concatenate([-J, np.zeros_like(J)], axis=-1)
 
 
-@invariant_jacobian.mistake("sign of the position", "Landmark and position enter as m - p: the position's block is minus the landmark's.")
+@invariant_jacobian.mistake("sign of the position", """Landmark and position enter as m - p: the position's
+block is minus the landmark's.""")
 def _(J, world_T_imu):
     H = J @ world_T_imu[:3, :3].T
     return H, np.concatenate([H, np.zeros_like(H)], axis=-1)
@@ -113,7 +118,8 @@ def _(J, world_T_imu):
     return H, np.concatenate([-H, np.zeros_like(H)], axis=-1)
 
 
-@invariant_jacobian.mistake("rotation and translation swapped", "The columns are [position, rotation]: zero stands on the right.")
+@invariant_jacobian.mistake("rotation and translation swapped", """The columns are [position, rotation]: zero
+stands on the right.""")
 def _(J, world_T_imu):
     H = J @ world_T_imu[:3, :3].T
     return H, np.concatenate([np.zeros_like(H), -H], axis=-1)
@@ -138,8 +144,8 @@ def _turned(world_T_imu, landmarks, delta, J, turn_landmarks=True, turn_position
 
 
 @exercise(chapter=7, cases=corrections, shows=[RightInvariant.retract], outputs=("world_T_imu", "landmarks"), hints=[
-    "One rotation exp(x_R) turns everything about the world's origin; then each point is shifted by J_l(x_R) times its part.",
-    "R = exp(x_R) R, p = exp(x_R) p + J_l(x_R) x_p, m = exp(x_R) m + J_l(x_R) x_m; se3.so3_exp, se3.so3_left_jacobian."])
+    "One rotation exp(x_R) turns everything about the world's origin; then each point is shifted by J_l(x_R) x.",
+    "R = exp(x_R) R, p = exp(x_R) p + J_l(x_R) x_p, m = exp(x_R) m + J_l(x_R) x_m; J_l is se3.so3_left_jacobian."])
 def invariant_retract(world_T_imu, landmarks, delta):
     """The state corrected by a right-invariant error: the exponential of SE_{1+n}(3).
 
@@ -149,24 +155,28 @@ def invariant_retract(world_T_imu, landmarks, delta):
     return _INVARIANT.retract(world_T_imu, landmarks, delta)
 
 
-@invariant_retract.mistake("left Jacobian forgotten", """Every translation is multiplied by J_l(x_R). Leaving it out looks
+@invariant_retract.mistake("left Jacobian forgotten", """Every translation is multiplied by J_l(x_R). Leaving
+it out looks
 harmless and cost a factor of six in NEES.""")
 def _(world_T_imu, landmarks, delta):
     return _turned(world_T_imu, landmarks, delta, np.eye(3))
 
 
-@invariant_retract.mistake("right Jacobian", "The translations are multiplied by the left Jacobian, J_l(x_R), not by the right one.")
+@invariant_retract.mistake("right Jacobian", """The translations are multiplied by the left Jacobian, J_l(x_R),
+not by the right one.""")
 def _(world_T_imu, landmarks, delta):
     return _turned(world_T_imu, landmarks, delta, se3.so3_right_jacobian(delta[-3:]))
 
 
-@invariant_retract.mistake("landmarks not turned", """x_R turns the whole world, landmarks included: exp(x_R) m, then the
+@invariant_retract.mistake("landmarks not turned", """x_R turns the whole world, landmarks included: exp(x_R)
+m, then the
 shift.""")
 def _(world_T_imu, landmarks, delta):
     return _turned(world_T_imu, landmarks, delta, se3.so3_left_jacobian(delta[-3:]), turn_landmarks=False)
 
 
-@invariant_retract.mistake("position not turned", "x_R turns the car's position about the world's origin too: exp(x_R) p.")
+@invariant_retract.mistake("position not turned", """x_R turns the car's position about the world's origin too:
+exp(x_R) p.""")
 def _(world_T_imu, landmarks, delta):
     return _turned(world_T_imu, landmarks, delta, se3.so3_left_jacobian(delta[-3:]), turn_position=False)
 

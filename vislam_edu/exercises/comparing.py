@@ -54,9 +54,9 @@ def _numbers(name, came, should) -> str:
         error = np.abs(came - should)
         # The first of those that are the largest but for rounding, which may fall otherwise on another machine.
         where = tuple(int(i) for i in np.argwhere(error >= (1 - 1e-6) * error.max())[0])
-        worst = f"largest difference{of} {error[where]:.2g}" + (f", at {list(where)}" if where else "")
+        worst = f"largest difference{of} {number(error[where])}" + (f", at {list(where)}" if where else "")
         if should.size > _SHOWN:
-            worst += f": {number(came[where])} where {number(should[where])} should be"
+            worst += f": {number(rounded(came)[where])} where {number(rounded(should)[where])} should be"
     if should.size > _SHOWN:
         return worst
     return f"came out{of}\n{block(came)}\nshould be\n{block(should)}\n{worst}"
@@ -69,13 +69,18 @@ def number(value) -> str:
     return f"{value + 0.0:.4g}"
 
 
+def rounded(values):
+    """To four digits of the largest entry: what rounding has left behind, on this machine or another, becomes 0."""
+    largest = np.abs(values[np.isfinite(values)]).max(initial=0.0)
+    if largest == 0.0:
+        return values
+    step = 10.0 ** (np.floor(np.log10(largest)) - 3)
+    return np.round(values / step) * step
+
+
 def block(values) -> str:
-    """An array, indented, four digits of its largest entry: what rounding has left behind shows as 0."""
-    finite = np.abs(values[np.isfinite(values)])
-    largest = finite.max(initial=0.0)
-    if largest > 0:
-        step = 10.0 ** (np.floor(np.log10(largest)) - 3)
-        values = np.round(values / step) * step
+    """An array, rounded and indented."""
+    values = rounded(values)
     texts = np.vectorize(number, otypes=[object])(values)
     if values.ndim < 2:
         return "  " + (f"[{', '.join(texts)}]" if values.ndim else str(texts))

@@ -75,7 +75,7 @@ class Exercise:
 
     @property
     def statement(self) -> str:
-        return inspect.getdoc(self.reference)
+        return inspect.getdoc(self.reference) or ""
 
     @property
     def stub(self) -> str:

@@ -1,0 +1,529 @@
+"""Right answers to the exercises, each written in two ways that share little with the package or each other.
+
+`ANSWERS[name]` is a list of functions. They are written as students write: loops, series, scipy, no care for speed.
+"""
+
+import math
+from collections import defaultdict
+
+import numpy as np
+from scipy import linalg, stats
+from scipy.spatial.transform import RigidTransform, Rotation
+
+ANSWERS = defaultdict(list)
+I3 = np.eye(3)
+
+
+def answer(name):
+    def enter(function):
+        ANSWERS[name].append(function)
+        return function
+    return enter
+
+
+def skew(a):
+    return np.array([np.cross(a, e) for e in I3]).T
+
+
+def wedge(xi):
+    X = np.zeros((4, 4))
+    X[:3, :3], X[:3, 3] = skew(xi[3:]), xi[:3]
+    return X
+
+
+def moved(T, points):
+    return (np.c_[np.atleast_2d(points), np.ones(len(np.atleast_2d(points)))] @ T.T)[:, :3]
+
+
+def pixels(camera, T, m):
+    q = camera.cam_T_imu @ np.linalg.inv(T) @ np.append(m, 1.0)
+    return camera.K_s @ (q / q[2])
+
+
+# --- chapter 1 --------------------------------------------------------------------------------------------
+
+@answer("so3_hat")
+def _(omega):
+    x, y, z = omega
+    return [[0, -z, y], [z, 0, -x], [-y, x, 0]]
+
+
+@answer("so3_hat")
+def _(omega):
+    return np.column_stack([np.cross(omega, e) for e in I3])
+
+
+@answer("se3_hat")
+def _(xi):
+    return np.vstack([np.column_stack([skew(xi[3:]), xi[:3]]), np.zeros(4)])
+
+
+@answer("se3_hat")
+def _(xi):
+    v1, v2, v3, x, y, z = xi.tolist()
+    return [[0, -z, y, v1], [z, 0, -x, v2], [-y, x, 0, v3], [0, 0, 0, 0]]
+
+
+@answer("so3_exp")
+def _(phi):
+    return Rotation.from_rotvec(phi).as_matrix()
+
+
+@answer("so3_exp")
+def _(phi):
+    t = math.sqrt(phi @ phi)
+    if t < 1e-7:
+        return I3 + skew(phi)
+    a = phi / t
+    return math.cos(t) * I3 + (1 - math.cos(t)) * np.outer(a, a) + math.sin(t) * skew(a)
+
+
+@answer("se3_exp")
+def _(xi):
+    return linalg.expm(wedge(xi))
+
+
+@answer("se3_exp")
+def _(xi):
+    t, S, T = np.linalg.norm(xi[3:]), skew(xi[3:]), np.eye(4)
+    b, c = (0.5, 1 / 6) if t < 1e-6 else ((1 - np.cos(t)) / t**2, (t - np.sin(t)) / t**3)
+    T[:3, :3] = Rotation.from_rotvec(xi[3:]).as_matrix()
+    T[:3, 3] = (I3 + b * S + c * S @ S) @ xi[:3]
+    return T
+
+
+@answer("left_jacobian")
+def _(xi):
+    X = np.block([[skew(xi[3:]), skew(xi[:3])], [np.zeros((3, 3)), skew(xi[3:])]])
+    term, total = np.eye(6), np.eye(6)
+    for n in range(2, 30):
+        term = term @ X / n
+        total = total + term
+    return total
+
+
+@answer("left_jacobian")
+def _(xi):
+    # The mean of the Adjoint along the way: the integral of exp(s X) over s from 0 to 1.
+    X = np.block([[skew(xi[3:]), skew(xi[:3])], [np.zeros((3, 3)), skew(xi[3:])]])
+    nodes, weights = np.polynomial.legendre.leggauss(20)
+    return sum(w / 2 * linalg.expm((s + 1) / 2 * X) for s, w in zip(nodes, weights))
+
+
+@answer("adjoint")
+def _(T):
+    R, p = T[:3, :3], T[:3, 3]
+    return np.block([[R, skew(p) @ R], [np.zeros((3, 3)), R]])
+
+
+@answer("adjoint")
+def _(T):
+    columns = []
+    for e in np.eye(6):
+        X = T @ wedge(e) @ np.linalg.inv(T)
+        columns.append([X[0, 3], X[1, 3], X[2, 3], X[2, 1], X[0, 2], X[1, 0]])
+    return np.array(columns).T
+
+
+@answer("dead_reckon")
+def _(world_T_imu, twists, taus):
+    out = np.empty((len(taus) + 1, 4, 4))
+    out[0] = world_T_imu
+    for k in range(len(taus)):
+        out[k + 1] = out[k] @ linalg.expm(taus[k] * wedge(twists[k]))
+    return out
+
+
+@answer("dead_reckon")
+def _(world_T_imu, twists, taus):
+    pose, out = RigidTransform.from_matrix(world_T_imu), [world_T_imu.tolist()]
+    for twist, tau in zip(twists, taus):
+        pose = pose * RigidTransform.from_exp_coords(tau * np.r_[twist[3:], twist[:3]])
+        out.append(pose.as_matrix().tolist())
+    return out
+
+
+@answer("predict_covariance")
+def _(covariance, twist, tau, Q):
+    X = tau * np.block([[skew(twist[3:]), skew(twist[:3])], [np.zeros((3, 3)), skew(twist[3:])]])
+    F = linalg.expm(-X)
+    J = sum(np.linalg.matrix_power(-X, n) / math.factorial(n + 1) for n in range(25))
+    return F @ covariance @ F.T + tau**2 * J @ Q @ J.T
+
+
+@answer("predict_covariance")
+def _(covariance, twist, tau, Q):
+    X = np.block([[skew(twist[3:]), skew(twist[:3])], [np.zeros((3, 3)), skew(twist[3:])]])
+    # One big exponential holds both: [[-X, I], [0, 0]] gives exp(-tau X) and its integral, tau J_r.
+    big = linalg.expm(tau * np.block([[-X, np.eye(6)], [np.zeros((6, 12))]]))
+    G = np.hstack([big[:6, :6], big[:6, 6:]])
+    return G @ linalg.block_diag(covariance, Q) @ G.T
+
+
+# --- chapter 2 --------------------------------------------------------------------------------------------
+
+@answer("bearing")
+def _(K, uv):
+    return np.linalg.solve(K, [uv[0], uv[1], 1.0])
+
+
+@answer("bearing")
+def _(K, uv):
+    return [(uv[0] - K[0, 2]) / K[0, 0], (uv[1] - K[1, 2]) / K[1, 1], 1]
+
+
+@answer("triangulate_bearings")
+def _(K, uv1, uv2, R, p):
+    z1, z2 = (np.linalg.inv(K) @ np.append(uv, 1.0) for uv in (uv1, uv2))
+    depths = np.linalg.lstsq(np.column_stack([z1, -R @ z2]), p, rcond=None)[0]
+    return depths[0] * z1
+
+
+@answer("triangulate_bearings")
+def _(K, uv1, uv2, R, p):
+    # Linear triangulation from the two projection matrices.
+    P1, P2 = K @ np.eye(3, 4), K @ np.column_stack([R.T, -R.T @ p])
+    A = np.array([uv1[0] * P1[2] - P1[0], uv1[1] * P1[2] - P1[1], uv2[0] * P2[2] - P2[0], uv2[1] * P2[2] - P2[1]])
+    X = np.linalg.svd(A)[2][-1]
+    return X[:3] / X[3]
+
+
+@answer("triangulate")
+def _(K, baseline, pixels):
+    points, ok = np.full((len(pixels), 3), np.nan), []
+    for i, (ul, vl, ur, _) in enumerate(pixels):
+        ok.append(bool(ul - ur > 0))
+        if ok[-1]:
+            z = K[0, 0] * baseline / (ul - ur)
+            points[i] = [(ul - K[0, 2]) * z / K[0, 0], (vl - K[1, 2]) * z / K[1, 1], z]
+    return points, ok
+
+
+@answer("triangulate")
+def _(K, baseline, pixels):
+    d = pixels[:, 0] - pixels[:, 2]
+    rays = np.linalg.inv(K) @ np.vstack([pixels[:, :2].T, np.ones(len(d))])
+    return (rays * K[0, 0] * baseline / d).T, d > 0
+
+
+@answer("triangulation_covariance")
+def _(K, baseline, point, sigma_px):
+    x, y, z = point
+    fu, fv = K[0, 0], K[1, 1]
+    H = np.array([[fu / z, 0, -fu * x / z**2], [0, fv / z, -fv * y / z**2],
+                  [fu / z, 0, -fu * (x - baseline) / z**2], [0, fv / z, -fv * y / z**2]])
+    return np.linalg.inv(H.T @ np.linalg.inv(sigma_px**2 * np.eye(4)) @ H)
+
+
+@answer("triangulation_covariance")
+def _(K, baseline, point, sigma_px):
+    # The other way: through the derivative of x, y, z by u_left, the mean v and the disparity.
+    x, y, z = point
+    fu, fv = K[0, 0], K[1, 1]
+    dz = -z**2 / (fu * baseline)  # per pixel of disparity
+    by_u_v_d = np.array([[z / fu, 0, x / z * dz], [0, z / fv, y / z * dz], [0, 0, dz]])
+    of_u_v_d = sigma_px**2 * np.array([[1, 0, 1], [0, 0.5, 0], [1, 0, 2]])
+    return by_u_v_d @ of_u_v_d @ by_u_v_d.T
+
+
+# --- chapter 3 --------------------------------------------------------------------------------------------
+
+@answer("project")
+def _(camera, points_cam):
+    return [camera.K_s @ (np.append(q, 1.0) / q[2]) for q in points_cam]
+
+
+@answer("project")
+def _(camera, points_cam):
+    x, y, z = points_cam.T
+    (fu, _, cu), (_, fv, cv), _ = camera.K
+    u, v = fu * x / z + cu, fv * y / z + cv
+    return np.stack([u, v, u - fu * camera.baseline / z, v]).T
+
+
+@answer("projection_jacobian")
+def _(camera, point_cam):
+    q1, q2, q3 = point_cam
+    return camera.K_s @ np.array([[1, 0, -q1 / q3, 0], [0, 1, -q2 / q3, 0], [0] * 4, [0, 0, -1 / q3, 1]]) / q3
+
+
+@answer("projection_jacobian")
+def _(camera, point_cam):
+    q = np.append(point_cam, 1.0)
+    return camera.K_s @ (np.eye(4) / q[2] - np.outer(q, [0, 0, 1, 0]) / q[2]**2)
+
+
+@answer("landmark_jacobian")
+def _(camera, world_T_imu, landmark):
+    q = camera.cam_T_imu @ np.linalg.inv(world_T_imu) @ np.append(landmark, 1.0)
+    D = np.eye(4) / q[2] - np.outer(q, [0, 0, 1, 0]) / q[2]**2
+    return (camera.K_s @ D @ camera.cam_T_imu @ np.linalg.inv(world_T_imu))[:, :3]
+
+
+@answer("landmark_jacobian")
+def _(camera, world_T_imu, landmark):
+    return _derivative(lambda d: pixels(camera, world_T_imu, landmark + d), 3)
+
+
+def _derivative(function, n, h=2e-3):
+    """Derivative at zero by differences of sixth order, good to about 1e-10 of the largest entry."""
+    weights = {-3: -1 / 60, -2: 3 / 20, -1: -3 / 4, 1: 3 / 4, 2: -3 / 20, 3: 1 / 60}
+    return np.array([sum(w * np.ravel(function(k * h * e)) for k, w in weights.items()) / h for e in np.eye(n)]).T
+
+
+@answer("kalman_update")
+def _(covariance, H, V, residual):
+    K = covariance @ H.T @ np.linalg.inv(H @ covariance @ H.T + V)
+    return K @ residual, (np.eye(len(covariance)) - K @ H) @ covariance
+
+
+@answer("kalman_update")
+def _(covariance, H, V, residual):
+    # In information form.
+    P = np.linalg.inv(np.linalg.inv(covariance) + H.T @ np.linalg.inv(V) @ H)
+    return P @ H.T @ np.linalg.solve(V, residual), P
+
+
+@answer("stacked_noise")
+def _(V, n):
+    return linalg.block_diag(*[V] * n)
+
+
+@answer("stacked_noise")
+def _(V, n):
+    out = np.zeros((n, 4, n, 4))
+    for i in range(n):
+        out[i, :, i] = V
+    return out.reshape(4 * n, 4 * n)
+
+
+@answer("correct_landmarks")
+def _(landmarks, ids, accepted, delta):
+    rows = landmarks.tolist()
+    for i, good, d in zip(ids, accepted, delta):
+        if good:
+            rows[i] = [a + b for a, b in zip(rows[i], d)]
+    return rows
+
+
+@answer("correct_landmarks")
+def _(landmarks, ids, accepted, delta):
+    shift = np.zeros_like(landmarks)
+    np.add.at(shift, ids, delta * accepted[:, None])
+    return landmarks + shift
+
+
+# --- chapter 4 --------------------------------------------------------------------------------------------
+
+@answer("odot")
+def _(point):
+    return np.vstack([np.hstack([I3, -skew(point)]), np.zeros(6)])
+
+
+@answer("odot")
+def _(point):
+    return np.array([wedge(e) @ np.append(point, 1.0) for e in np.eye(6)]).T
+
+
+@answer("pose_jacobian")
+def _(camera, world_T_imu, landmark):
+    s = np.linalg.inv(world_T_imu) @ np.append(landmark, 1.0)
+    q = camera.cam_T_imu @ s
+    D = camera.K_s @ (np.eye(4) / q[2] - np.outer(q, [0, 0, 1, 0]) / q[2]**2) @ camera.cam_T_imu
+    return np.column_stack([-D @ wedge(e) @ s for e in np.eye(6)])
+
+
+@answer("pose_jacobian")
+def _(camera, world_T_imu, landmark):
+    return _derivative(lambda e: pixels(camera, world_T_imu @ linalg.expm(wedge(e)), landmark), 6)
+
+
+def _pose_system(camera, T, landmarks, z):
+    H = np.vstack([camera.pose_jacobian(T, m) for m in landmarks])
+    return H, np.concatenate([row - pixels(camera, T, m) for row, m in zip(z, landmarks)])
+
+
+@answer("pose_update")
+def _(camera, world_T_imu, covariance, landmarks, pixels, sigma_px):
+    H, r = _pose_system(camera, world_T_imu, landmarks, pixels)
+    K = covariance @ H.T @ np.linalg.inv(H @ covariance @ H.T + np.kron(np.eye(len(pixels)), sigma_px**2 * np.eye(4)))
+    return world_T_imu @ linalg.expm(wedge(K @ r)), (np.eye(6) - K @ H) @ covariance
+
+
+@answer("pose_update")
+def _(camera, world_T_imu, covariance, landmarks, pixels, sigma_px):
+    # One number after the other, all linearised at the prior: the same as all at once.
+    H, r = _pose_system(camera, world_T_imu, landmarks, pixels)
+    x, P = np.zeros(6), covariance.copy()
+    for h, value in zip(H, r):
+        k = P @ h / (h @ P @ h + sigma_px**2)
+        x, P = x + k * (value - h @ x), P - np.outer(k, h @ P)
+    return world_T_imu @ linalg.expm(wedge(x)), P
+
+
+# --- chapter 5 --------------------------------------------------------------------------------------------
+
+@answer("predict_joint")
+def _(covariance, F, W):
+    n = len(covariance) - 6
+    A = linalg.block_diag(np.eye(n), F)
+    return A @ covariance @ A.T + linalg.block_diag(np.zeros((n, n)), W)
+
+
+@answer("predict_joint")
+def _(covariance, F, W):
+    P = covariance.copy()
+    P[:-6, -6:] = P[:-6, -6:] @ F.T
+    P[-6:, :-6] = P[:-6, -6:].T
+    P[-6:, -6:] = F @ P[-6:, -6:] @ F.T + W
+    return P
+
+
+@answer("new_landmark")
+def _(covariance, world_T_imu, point_imu, C):
+    # As one linear map of [old state, error of the triangulated point].
+    d, R = len(covariance), world_T_imu[:3, :3]
+    n = d - 6
+    A = np.zeros((d + 3, d + 3))
+    A[:n, :n] = np.eye(n)
+    A[n:n + 3, n:n + 3], A[n:n + 3, n + 3:n + 6], A[n:n + 3, d:] = R, -R @ skew(point_imu), R
+    A[n + 3:, n:d] = np.eye(6)
+    return moved(world_T_imu, point_imu)[0], A @ linalg.block_diag(covariance, C) @ A.T
+
+
+@answer("new_landmark")
+def _(covariance, world_T_imu, point_imu, C):
+    R = world_T_imu[:3, :3]
+    G = R @ np.hstack([I3, -skew(point_imu)])
+    old, pose = np.arange(len(covariance) - 6), np.arange(len(covariance) - 6, len(covariance))
+    P = np.insert(np.insert(covariance, [pose[0]] * 3, 0.0, axis=0), [pose[0]] * 3, 0.0, axis=1)
+    new = slice(pose[0], pose[0] + 3)
+    P[new, old] = G @ covariance[np.ix_(pose, old)]
+    P[old, new] = P[new, old].T
+    P[new, pose + 3] = G @ covariance[np.ix_(pose, pose)]
+    P[pose + 3, new] = P[new, pose + 3].T
+    P[new, new] = G @ covariance[np.ix_(pose, pose)] @ G.T + R @ C @ R.T
+    return R @ point_imu + world_T_imu[:3, 3], P
+
+
+@answer("joint_jacobian")
+def _(H_landmark, H_pose, rows, n):
+    blocks = []
+    for i, row in enumerate(rows):
+        parts = [np.zeros((4, 3))] * n + [H_pose[i]]
+        parts[row] = H_landmark[i]
+        blocks.append(np.hstack(parts))
+    return np.vstack(blocks)
+
+
+@answer("joint_jacobian")
+def _(H_landmark, H_pose, rows, n):
+    m = len(rows)
+    H = np.zeros((m, 4, n, 3))
+    H[np.arange(m), :, rows] = H_landmark
+    return np.concatenate([H.reshape(m, 4, 3 * n), H_pose], axis=2).reshape(4 * m, -1)
+
+
+@answer("joint_update")
+def _(world_T_imu, landmarks, covariance, H, residual, V):
+    K = covariance @ H.T @ np.linalg.inv(H @ covariance @ H.T + V)
+    delta, n = K @ residual, len(landmarks)
+    new = [m + delta[3 * j:3 * j + 3] for j, m in enumerate(landmarks)]
+    return world_T_imu @ linalg.expm(wedge(delta[3 * n:])), new, (np.eye(len(covariance)) - K @ H) @ covariance
+
+
+@answer("joint_update")
+def _(world_T_imu, landmarks, covariance, H, residual, V):
+    P = np.linalg.inv(np.linalg.inv(covariance) + H.T @ np.linalg.inv(V) @ H)
+    delta = P @ H.T @ np.linalg.solve(V, residual)
+    step = RigidTransform.from_exp_coords(np.r_[delta[-3:], delta[-6:-3]])
+    pose = RigidTransform.from_matrix(world_T_imu) * step
+    return pose.as_matrix(), landmarks + delta[:-6].reshape(landmarks.shape), P
+
+
+# --- chapter 6 --------------------------------------------------------------------------------------------
+
+@answer("process_noise")
+def _(sigma_v, sigma_omega, tau):
+    return np.diag(np.repeat([tau * sigma_v, tau * sigma_omega], 3)**2)
+
+
+@answer("process_noise")
+def _(sigma_v, sigma_omega, tau):
+    return linalg.block_diag(tau**2 * sigma_v**2 * I3, tau**2 * sigma_omega**2 * I3)
+
+
+@answer("nees")
+def _(errors, covariances):
+    return [e @ np.linalg.inv(P) @ e for e, P in zip(errors, covariances)]
+
+
+@answer("nees")
+def _(errors, covariances):
+    return np.einsum("ti,tij,tj->t", errors, np.linalg.inv(covariances), errors)
+
+
+@answer("chi2_band")
+def _(dof, runs, probability):
+    low, high = stats.chi2(dof * runs).interval(probability)
+    return low / runs, high / runs
+
+
+@answer("chi2_band")
+def _(dof, runs, probability):
+    # A chi-square number is a gamma number of shape k/2 and scale 2.
+    tail = (1 - probability) / 2
+    return [stats.gamma.ppf(q, dof * runs / 2, scale=2 / runs) for q in (tail, 1 - tail)]
+
+
+# --- chapter 7 --------------------------------------------------------------------------------------------
+
+def _adjoint(T):
+    return np.block([[T[:3, :3], skew(T[:3, 3]) @ T[:3, :3]], [np.zeros((3, 3)), T[:3, :3]]])
+
+
+@answer("invariant_noise")
+def _(world_T_imu, landmarks, body_noise):
+    B = _adjoint(world_T_imu) @ body_noise
+    return np.vstack([skew(m) @ B[3:] for m in landmarks] + [B])
+
+
+@answer("invariant_noise")
+def _(world_T_imu, landmarks, body_noise):
+    A = _adjoint(world_T_imu)
+    rows = [np.hstack([np.zeros((3, 3)), skew(m) @ world_T_imu[:3, :3]]) for m in landmarks]
+    return np.concatenate([*rows, A]) @ body_noise
+
+
+@answer("invariant_jacobian")
+def _(J, world_T_imu):
+    H = np.array([j @ np.linalg.inv(world_T_imu[:3, :3]) for j in J])
+    return H, np.concatenate([-H, np.zeros(H.shape)], axis=2)
+
+
+@answer("invariant_jacobian")
+def _(J, world_T_imu):
+    H = np.einsum("nij,kj->nik", J, world_T_imu[:3, :3])
+    return H, H @ np.hstack([-I3, 0 * I3])
+
+
+@answer("invariant_retract")
+def _(world_T_imu, landmarks, delta):
+    # SE_{1+n}(3) as one big matrix: rotation, then a column for the position and for each landmark.
+    n = len(landmarks)
+    state, X = np.eye(4 + n), np.zeros((4 + n, 4 + n))
+    state[:3, :4], state[:3, 4:] = world_T_imu[:3], landmarks.T
+    X[:3, :3], X[:3, 3], X[:3, 4:] = skew(delta[-3:]), delta[-6:-3], delta[:-6].reshape(n, 3).T
+    state = linalg.expm(X) @ state
+    T = np.eye(4)
+    T[:3] = state[:3, :4]
+    return T, state[:3, 4:].T
+
+
+@answer("invariant_retract")
+def _(world_T_imu, landmarks, delta):
+    # Each landmark moves as the position does: the pose exponential, once with each translation.
+    omega = delta[-3:]
+    new = [(linalg.expm(wedge(np.r_[d, omega])) @ np.append(m, 1.0))[:3]
+           for m, d in zip(landmarks, delta[:-6].reshape(-1, 3))]
+    return linalg.expm(wedge(np.r_[delta[-6:-3], omega])) @ world_T_imu, new

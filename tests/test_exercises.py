@@ -1,0 +1,370 @@
+"""The checks of the exercises: right answers pass, wrong ones are named, and nothing an answer does breaks a check."""
+
+import io
+import threading
+import time
+from contextlib import redirect_stdout
+
+import numpy as np
+import pytest
+from exercise_answers import ANSWERS
+
+from vislam_edu import se3
+from vislam_edu.exercises import EXERCISES, check, hint, running, solution
+from vislam_edu.exercises.exercise import exercise as make_exercise
+from vislam_edu.exercises.verdict import NOT_WRITTEN, RIGHT, WRONG, judge
+
+PIECES = [(name, i) for name, exercise in EXERCISES.items() for i in range(len(exercise.mistakes))]
+
+
+def printed(function, *arguments):
+    out = io.StringIO()
+    with redirect_stdout(out):
+        assert function(*arguments) is None
+    return out.getvalue()
+
+
+# --- right answers ----------------------------------------------------------------------------------------
+
+
+def test_there_are_exercises_for_notebooks_01_to_07():
+    assert len(EXERCISES) >= 20
+    assert [exercise.chapter for exercise in EXERCISES.values()] == sorted(e.chapter for e in EXERCISES.values())
+    assert {exercise.chapter for exercise in EXERCISES.values()} == set(range(1, 8))
+
+
+@pytest.mark.parametrize("name", EXERCISES)
+def test_the_reference_is_right_and_quick(name):
+    start = time.thread_time()
+    verdict = judge(EXERCISES[name], EXERCISES[name].reference)
+    assert verdict.status == RIGHT, verdict.text
+    assert time.thread_time() - start < 1
+
+
+@pytest.mark.parametrize("name", EXERCISES)
+def test_answers_written_otherwise_are_right(name):
+    assert len(ANSWERS[name]) >= 2
+    for answer in ANSWERS[name]:
+        verdict = judge(EXERCISES[name], answer)
+        assert verdict.status == RIGHT, verdict.text
+
+
+@pytest.mark.parametrize("name", ["so3_exp", "se3_exp", "adjoint", "project", "pose_jacobian", "kalman_update"])
+def test_float32_is_right_with_a_remark(name):
+    def in_float32(*arguments):
+        result = EXERCISES[name].reference(*arguments)
+        return tuple(map(np.float32, result)) if isinstance(result, tuple) else np.float32(result)
+
+    verdict = judge(EXERCISES[name], in_float32)
+    assert verdict.status == RIGHT
+    assert "64 bits" in verdict.text
+    assert "64 bits" not in judge(EXERCISES[name], EXERCISES[name].reference).text
+
+
+# --- the museum -------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("name", "i"), PIECES)
+def test_every_piece_is_recognised_with_its_own_hint(name, i):
+    mistake = EXERCISES[name].mistakes[i]
+    start = time.thread_time()
+    verdict = judge(EXERCISES[name], mistake.function)
+    assert time.thread_time() - start < 1
+    assert verdict.status == WRONG
+    assert verdict.mistake == mistake.name
+    assert f"Most likely: {mistake.name}. {mistake.hint}" in verdict.text
+
+
+def test_names_and_hints_tell_pieces_apart():
+    for exercise in EXERCISES.values():
+        assert len(exercise.mistakes) >= 3
+        assert len({m.name for m in exercise.mistakes}) == len({m.hint for m in exercise.mistakes}) == \
+            len(exercise.mistakes)
+
+
+def so3_exp_by_hand(phi):
+    """Written otherwise than the museum's piece, with the same mistake."""
+    import math
+
+    x, y, z = phi.tolist()
+    angle = math.sqrt(x * x + y * y + z * z)
+    axis = [x / angle, y / angle, z / angle]
+    K = np.cross(axis, np.eye(3)).T
+    return np.eye(3) + math.sin(angle) * K + (1 - math.cos(angle)) * K @ K
+
+
+def test_a_mistake_is_recognised_in_other_words():
+    verdict = judge(EXERCISES["so3_exp"], so3_exp_by_hand)
+    assert verdict.mistake == "no small-angle branch"
+    assert "ZeroDivisionError: float division by zero" in verdict.text  # what Python's own numbers do
+
+
+def test_a_mistake_that_explains_a_part_is_offered_as_a_guess():
+    def two_mistakes(xi):
+        T = se3.exp(np.roll(xi, 3)) if xi[3:].any() else np.zeros((4, 4))
+        return T
+
+    text = judge(EXERCISES["se3_exp"], two_mistakes).text
+    assert "Perhaps: rotation and translation swapped." in text
+    assert "Most likely" not in text
+
+
+def test_an_unknown_mistake_gets_numbers_and_no_guess():
+    verdict = judge(EXERCISES["so3_hat"], lambda omega: se3.so3_hat(omega) * 7)
+    assert verdict.mistake == ""
+    assert "Perhaps" not in verdict.text
+    assert "largest difference 6, at [1, 2]" in verdict.text
+
+
+# --- not written yet --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", EXERCISES)
+def test_the_stub_is_not_written_yet(name):
+    scope = {}
+    exec(EXERCISES[name].stub, scope)
+    verdict = judge(EXERCISES[name], scope[name])
+    assert (verdict.status, verdict.text) == (NOT_WRITTEN, f"{name}: not written yet")
+
+
+@pytest.mark.parametrize("blank", [None, ..., NotImplemented], ids=["None", "dots", "NotImplemented"])
+def test_returning_nothing_is_not_written_yet(blank):
+    assert judge(EXERCISES["so3_hat"], lambda omega: blank).status == NOT_WRITTEN
+
+
+def test_the_stub_states_the_task_and_the_tolerance():
+    for exercise in EXERCISES.values():
+        assert exercise.statement in exercise.stub.replace("\n    ", "\n")
+        assert "Checked to 1e-" in exercise.stub
+        assert "Returns" in exercise.stub
+        assert max(map(len, exercise.stub.splitlines())) <= 120
+
+
+# --- what answers do --------------------------------------------------------------------------------------
+
+
+def test_an_exception_is_told_in_the_students_own_lines():
+    def helper(omega):
+        return np.cross(omega, np.zeros(4))
+
+    def answer(omega):
+        return helper(omega)
+
+    text = judge(EXERCISES["so3_hat"], answer).text
+    assert "in answer:  return helper(omega)" in text
+    assert "in helper:  return np.cross(omega, np.zeros(4))" in text
+    assert "ValueError: incompatible dimensions" in text
+    assert "running.py" not in text
+    assert ".py" not in text
+
+
+def test_ending_the_program_is_an_exception_like_any_other():
+    def answer(omega):
+        raise SystemExit(3)
+
+    assert "SystemExit: 3" in judge(EXERCISES["so3_hat"], answer).text
+
+
+def test_an_address_does_not_get_into_the_text():
+    def answer(omega):
+        raise ValueError(f"bad {object()!r}")
+
+    assert "object at 0x...>" in judge(EXERCISES["so3_hat"], answer).text
+
+
+def threads():
+    return {thread for thread in threading.enumerate() if thread.daemon}
+
+
+@pytest.mark.parametrize("stubborn", [False, True])
+def test_an_endless_loop_is_stopped_and_said(stubborn):
+    def endless(omega):
+        while True:
+            try:
+                sum(range(1000))
+            except Exception:
+                if not stubborn:
+                    raise
+
+    before = threads()
+    start = time.monotonic()
+    verdict = judge(EXERCISES["so3_hat"], endless, limit=0.2)
+    assert time.monotonic() - start < 5
+    assert verdict.status == WRONG
+    assert "still no answer after 0.2 s" in verdict.text
+    assert "restart" not in verdict.text
+    assert threads() == before
+
+
+def test_what_cannot_be_stopped_is_said_too():
+    def asleep(omega):
+        time.sleep(3)
+        return se3.so3_hat(omega)
+
+    assert "restart the kernel" in judge(EXERCISES["so3_hat"], asleep, limit=0.05).text
+
+
+def test_changing_an_argument_is_told_and_does_no_harm():
+    def answer(omega):
+        omega *= 2
+        return se3.so3_hat(omega / 2)
+
+    verdict = judge(EXERCISES["so3_hat"], answer)
+    assert verdict.status == WRONG
+    assert "changes its argument omega" in verdict.text
+    assert "Perhaps" not in verdict.text
+    assert judge(EXERCISES["so3_hat"], se3.so3_hat).right
+
+
+def test_the_students_arrays_are_never_handed_out():
+    kept = []
+
+    def answer(omega):
+        kept.append(omega)
+        return se3.so3_hat(omega)
+
+    assert judge(EXERCISES["so3_hat"], answer).right
+    for array in kept:
+        array[:] = np.nan
+    assert judge(EXERCISES["so3_hat"], answer).right
+
+
+def test_warnings_of_numpy_stay_silent(recwarn):
+    verdict = judge(EXERCISES["so3_exp"], lambda phi: np.eye(3) / np.zeros(1))
+    assert verdict.status == WRONG
+    assert not recwarn.list
+
+
+@pytest.mark.parametrize(("answer", "words"), [
+    (lambda K, uv: np.linalg.solve(K, np.append(uv, 1))[:, None],
+     "has shape (3, 1); it should be (3,). The numbers are right: a column"),
+    (lambda K, uv: np.ones((3, 1)) * np.ones(3), "has shape (3, 3); it should be (3,). Has a column"),
+    (lambda K, uv: "bearing", "must be an array of real numbers"),
+    (lambda K, uv: [[1, 2], [3]], "rows have different lengths"),
+    (lambda K, uv: 1j * np.ones(3), "must be an array of real numbers"),
+    (lambda K: K, "takes 1 positional argument but 2 were given"),
+], ids=["column", "table", "text", "ragged", "complex", "arguments"])
+def test_odd_results_are_told_in_words(answer, words):
+    verdict = judge(EXERCISES["bearing"], answer)
+    assert verdict.status == WRONG
+    assert words in verdict.text
+
+
+def test_a_transposed_result_is_told():
+    text = judge(EXERCISES["odot"], lambda point: se3.odot(point).T).text
+    assert "shape (6, 4); it should be (4, 6). The numbers are right, but transposed." in text
+
+
+def test_a_missing_result_is_told():
+    text = judge(EXERCISES["chi2_band"], lambda dof, runs, probability: 3.0).text
+    assert "must return 2 results, low, high; it returned one float" in text
+
+
+def test_giving_the_result_instead_of_the_function_is_told():
+    assert "without calling it" in judge(EXERCISES["so3_hat"], se3.so3_hat(np.ones(3))).text
+
+
+def test_what_the_mask_excludes_does_not_matter():
+    def with_anything(K, baseline, pixels):
+        points, ok = EXERCISES["triangulate"].reference(K, baseline, pixels)
+        points[~ok] = 1e9
+        return points, ok
+
+    assert judge(EXERCISES["triangulate"], with_anything).right
+
+
+def test_an_error_just_above_the_tolerance_is_found():
+    def off_by(size):
+        return judge(EXERCISES["so3_exp"], lambda phi: se3.so3_exp(phi) + size).right
+
+    assert off_by(0.5e-8)
+    assert not off_by(2e-8)
+
+
+# --- check, hint, solution --------------------------------------------------------------------------------
+
+
+def test_a_check_prints_and_remembers():
+    assert printed(check.so3_hat, se3.so3_hat) == \
+        "so3_hat: right, on 7 inputs (x axis; [1, 2, 3]; 5 random), to 1e-8 of the largest entry\n"
+    with pytest.raises(ValueError, match="has not found a failing input"):
+        _ = check.so3_hat.failing
+    assert printed(check.so3_hat, lambda omega: se3.so3_hat(-omega)) == (
+        "so3_hat: wrong, on input 1 of 7 (x axis)\n"
+        "  omega = [1, 0, 0]\n"
+        "came out\n"
+        "  [ 0   0   0]\n"
+        "  [ 0   0   1]\n"
+        "  [ 0  -1   0]\n"
+        "should be\n"
+        "  [ 0   0   0]\n"
+        "  [ 0   0  -1]\n"
+        "  [ 0   1   0]\n"
+        "largest difference 2, at [1, 2]\n"
+        "Most likely: signs transposed. This is the transpose, -omega^: it gives cross(b, a). The entry in the first "
+        "row, second column is -z.\n"
+        "To try this input: so3_hat(*check.so3_hat.failing)\n")
+    assert check.so3_hat.last.mistake == "signs transposed"
+    np.testing.assert_array_equal(check.so3_hat.failing[0], [1, 0, 0])
+
+
+@pytest.mark.parametrize("name", EXERCISES)
+def test_texts_are_the_same_each_time_and_show_no_rounding(name):
+    for mistake in EXERCISES[name].mistakes:
+        def jittered(*arguments, mistake=mistake):
+            result = mistake.function(*arguments)
+            parts = result if isinstance(result, tuple) else (result,)
+            parts = [part if np.asarray(part).dtype == bool else part * (1 + 1e-15) +
+                     1e-16 * np.abs(part)[np.isfinite(part)].max(initial=0) for part in map(np.asarray, parts)]
+            return tuple(parts) if isinstance(result, tuple) else parts[0]
+
+        assert judge(EXERCISES[name], jittered).text == judge(EXERCISES[name], mistake.function).text
+
+
+def test_the_namespace_lists_the_exercises_and_suggests_names():
+    assert dir(check) == sorted(EXERCISES)
+    assert check.so3_hat is check.so3_hat
+    with pytest.raises(AttributeError, match="did you mean se3_exp"):
+        _ = check.se3_epx
+    with pytest.raises(ValueError, match="did you mean se3_exp"):
+        hint("se3_epx")
+
+
+@pytest.mark.parametrize("name", EXERCISES)
+def test_hints_are_graded_and_the_solution_is_the_packages(name):
+    exercise = EXERCISES[name]
+    assert len(exercise.hints) >= 2
+    assert printed(hint, name) == f"{name}, hint 1 of {len(exercise.hints)}: {exercise.hints[0]}\n"
+    assert exercise.hints[1] in printed(hint, name, 2)
+    with pytest.raises(ValueError, match=f"has hints 1 to {len(exercise.hints)}"):
+        hint(name, len(exercise.hints) + 1)
+    shown = printed(solution, name)
+    assert shown.startswith(f"def {name}(")
+    assert all(f"def {function.__name__}(" in shown for function in exercise.shows)
+    assert "@exercise" not in shown
+
+
+def test_a_check_raises_only_under_nbgrader(monkeypatch):
+    printed(check.so3_hat, lambda omega: None)
+    monkeypatch.setenv("NBGRADER_EXECUTION", "validate")
+    printed(check.so3_hat, se3.so3_hat)
+    with pytest.raises(AssertionError, match="so3_hat: not written yet"), redirect_stdout(io.StringIO()):
+        check.so3_hat(lambda omega: None)
+
+
+def test_two_exercises_cannot_share_a_name():
+    with pytest.raises(ValueError, match="two exercises called so3_hat"):
+        make_exercise(chapter=1, cases=lambda rng: [], hints=[], shows=[])(EXERCISES["so3_hat"].reference)
+
+
+def test_the_inputs_are_the_same_each_time():
+    for exercise in EXERCISES.values():
+        for (_, first), (_, second) in zip(exercise.inputs(), exercise.inputs(), strict=True):
+            for a, b in zip(first, second, strict=True):
+                if isinstance(a, np.ndarray):
+                    np.testing.assert_array_equal(a, b)
+                    assert a is not b
+
+
+def test_the_limit_leaves_room_for_a_busy_machine():
+    assert running.LIMIT >= 2
