@@ -95,23 +95,29 @@ def _checked(code) -> dict[str, str]:
 def _execute(notebook, folder, limit):
     """Run in place. Returns the problem, if any, and the last verdict on each exercise."""
     from nbclient import NotebookClient
-    from nbclient.exceptions import CellTimeoutError, DeadKernelError
 
     client = NotebookClient(notebook, timeout=None, kernel_name="python3", allow_errors=True, record_timing=False,
                             extra_arguments=["--log-level=ERROR"], shutdown_kernel="immediate",
                             resources={"metadata": {"path": str(folder)}})
-    problem = ""
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as scratch:
         record = Path(scratch) / "verdicts.jsonl"
         environment = {key: value for key, value in os.environ.items() if key.upper() in _PASSED_ON}
         environment |= {VERDICTS: str(record), "IPYTHONDIR": scratch, "OPENBLAS_NUM_THREADS": "1"}
-        try:
-            asyncio.run(asyncio.wait_for(client.async_execute(env=environment), limit))
-        except (TimeoutError, CellTimeoutError):
-            problem = f"stopped after {limit:g} s"
-        except DeadKernelError:
-            problem = "the kernel died (out of memory, or the notebook ended it)"
-        return problem, _verdicts(record)
+        return asyncio.run(_run(client, environment, limit)), _verdicts(record)
+
+
+async def _run(client, environment, limit) -> str:
+    """Run a client's notebook; returns the problem, if any."""
+    from nbclient.exceptions import DeadKernelError
+
+    clock = asyncio.timeout(limit)
+    try:
+        async with clock:
+            await client.async_execute(env=environment)
+    except (TimeoutError, DeadKernelError):  # a kernel that is ended because the time is up counts as dead too
+        return f"stopped after {limit:g} s" if clock.expired() else \
+            "the kernel died (out of memory, or the notebook ended it)"
+    return ""
 
 
 def _verdicts(record) -> dict[str, Result]:

@@ -1,0 +1,247 @@
+"""For teachers: submissions are graded in a fresh kernel, and the cells are what nbgrader expects."""
+
+import csv
+import importlib.util
+import itertools
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import nbformat
+import pytest
+from nbformat import v4
+
+from vislam_edu.exercises import EXERCISES, cells, grading, museum, report
+from vislam_edu.exercises.verdict import NOT_WRITTEN, RIGHT, WRONG
+
+NOTEBOOKS = sorted((Path(__file__).parents[1] / "notebooks").glob("*.ipynb"))
+KERNELSPEC = {"kernelspec": {"display_name": "Python 3 (ipykernel)", "language": "python", "name": "python3"}}
+
+
+def write(path, code):
+    path.parent.mkdir(parents=True, exist_ok=True)
+    nbformat.write(v4.new_notebook(cells=code, metadata=KERNELSPEC), path)
+    return path
+
+
+def filled(exercise, answer):
+    """The two cells of an exercise, the marked region of the stub replaced by `return answer(...)`."""
+    stub, test = cells.pair(exercise)
+    region = stub.source[stub.source.index("# BEGIN"):stub.source.index("# END")]
+    call = f"return {answer}({', '.join(exercise.arguments)})\n    "
+    stub.source = "from vislam_edu.exercises import EXERCISES\n\n\n" + stub.source.replace(region, call)
+    return [stub, test]
+
+
+def joined(lists):
+    return list(itertools.chain.from_iterable(lists))
+
+
+def rows(submission):
+    return {result.exercise: (result.status, result.mistake) for result in submission.results}
+
+
+@pytest.fixture(scope="module")
+def reported(tmp_path_factory):
+    """A folder with three notebooks over all exercises: answered, blank, and wrong in a known way; and its report."""
+    folder = tmp_path_factory.mktemp("submissions")
+    exercises = EXERCISES.values()
+    write(folder / "anna" / "right.ipynb",
+          joined(filled(e, f"EXERCISES[{e.name!r}].reference") for e in exercises))
+    write(folder / "ben" / "stubs.ipynb", joined(cells.pair(e) for e in exercises))
+    write(folder / "cleo" / "museum.ipynb",
+          joined(filled(e, f"EXERCISES[{e.name!r}].mistakes[-1].function") for e in exercises))
+    write(folder / ".ipynb_checkpoints" / "right.ipynb", [])
+    out = tmp_path_factory.mktemp("report")
+    assert report.main(["--report", str(folder), "--out", str(out)]) == 0
+    return out
+
+
+def by_notebook(out, name):
+    with open(out / "exercises.csv", encoding="utf-8", newline="") as file:
+        return {row["exercise"]: row for row in csv.DictReader(file) if row["notebook"] == name}
+
+
+def test_a_notebook_filled_from_the_package_is_all_right(reported):
+    found = by_notebook(reported, "anna/right.ipynb")
+    assert list(found) == list(EXERCISES)
+    assert {row["status"] for row in found.values()} == {RIGHT}
+
+
+def test_a_notebook_of_stubs_is_not_written_yet(reported):
+    found = by_notebook(reported, "ben/stubs.ipynb")
+    assert list(found) == list(EXERCISES)
+    assert {row["status"] for row in found.values()} == {NOT_WRITTEN}
+
+
+def test_a_notebook_of_museum_pieces_is_told_each_mistake_by_name(reported):
+    found = by_notebook(reported, "cleo/museum.ipynb")
+    assert {name: row["mistake"] for name, row in found.items()} == {
+        name: exercise.mistakes[-1].name for name, exercise in EXERCISES.items()}
+    assert {row["status"] for row in found.values()} == {WRONG}
+
+
+def test_the_report_holds_the_same_in_both_formats(reported):
+    content = json.loads((reported / "exercises.json").read_text(encoding="utf-8"))
+    assert [entry["notebook"] for entry in content] == ["anna/right.ipynb", "ben/stubs.ipynb", "cleo/museum.ipynb"]
+    for entry in content:
+        assert entry["problem"] == ""
+        rows = by_notebook(reported, entry["notebook"])
+        assert {e["exercise"]: (str(e["chapter"]), e["status"], e["mistake"]) for e in entry["exercises"]} == {
+            name: (row["chapter"], row["status"], row["mistake"]) for name, row in rows.items()}
+    assert content[2]["exercises"][0]["detail"].startswith("so3_hat: wrong, on input ")
+
+
+# --- submissions that misbehave ---------------------------------------------------------------------------
+
+HAT = EXERCISES["so3_hat"]
+
+
+def test_a_broken_cell_costs_only_its_own_exercise_and_secrets_stay_out(tmp_path, monkeypatch):
+    monkeypatch.setenv("TOKEN", "secret")
+    broken, test = cells.pair(EXERCISES["odot"])
+    broken.source = "def odot(point)\n    return 1"
+    curious, its_test = cells.pair(EXERCISES["adjoint"])
+    curious.source = "import os\n\n\ndef adjoint(T):\n    raise ValueError(os.environ.get('TOKEN'))"
+    path = write(tmp_path / "a.ipynb", [
+        broken, test, curious, its_test, *filled(HAT, "EXERCISES['so3_hat'].reference")])
+    submission = grading.grade(path, "a")
+    assert rows(submission) == {"so3_hat": (RIGHT, ""), "adjoint": (WRONG, ""), "odot": (grading.NO_VERDICT, "")}
+    assert submission.results[2].detail == "NameError: name 'odot' is not defined"
+    assert "odot: no verdict (NameError: name 'odot' is not defined)" in report.table([submission])
+    assert "ValueError: None" in submission.results[1].detail
+
+
+def test_a_notebook_that_never_ends_is_stopped(tmp_path):
+    path = write(tmp_path / "a.ipynb", [v4.new_code_cell("while True: pass"), *cells.pair(HAT)])
+    submission = grading.grade(path, "a", limit=2)
+    assert submission.problem == "stopped after 2 s"
+    assert rows(submission) == {"so3_hat": (grading.NO_VERDICT, "")}
+
+
+def test_a_notebook_that_kills_its_kernel_keeps_the_verdicts_so_far(tmp_path):
+    path = write(tmp_path / "a.ipynb", [*filled(HAT, "EXERCISES['so3_hat'].reference"),
+                                        v4.new_code_cell("import os\nos._exit(1)"), *cells.pair(EXERCISES["odot"])])
+    submission = grading.grade(path, "a")
+    assert submission.problem.startswith("the kernel died")
+    assert rows(submission) == {"so3_hat": (RIGHT, ""), "odot": (grading.NO_VERDICT, "")}
+
+
+@pytest.mark.parametrize("text", ["no notebook", "{}", '{"cells": 3, "nbformat": 4}'])
+def test_an_unreadable_notebook_is_said_and_does_not_stop_the_others(tmp_path, text):
+    path = tmp_path / "a.ipynb"
+    path.write_text(text, encoding="utf-8")
+    submission = grading.grade(path, "a")
+    assert submission.problem.startswith("not a readable notebook")
+    assert "not a readable notebook" in report.table([submission])
+
+
+def test_a_record_that_was_meddled_with_is_read_as_far_as_it_makes_sense(tmp_path):
+    record = tmp_path / "verdicts"
+    good = json.dumps({"exercise": "odot", "status": RIGHT, "mistake": "", "text": "odot: right"})
+    record.write_text('[]\n{"exercise": "odot"}\n3\n{"exerc\n' + good.replace("odot", "nothing") + f"\n{good}\n",
+                      encoding="utf-8")
+    assert list(grading._verdicts(record)) == ["odot"]
+
+
+@pytest.mark.parametrize(("name", "words"), [("missing", "no such notebook"), ("", "no notebooks in this folder")])
+def test_a_path_without_notebooks_is_named(tmp_path, name, words):
+    with pytest.raises(FileNotFoundError, match=words):
+        report.main(["--report", str(tmp_path / name), "--out", str(tmp_path / "out")])
+
+
+# --- the table and the cells ------------------------------------------------------------------------------
+
+
+def test_one_command_prints_the_museum(capsys):
+    assert report.main(["--museum"]) == 0
+    printed = capsys.readouterr().out
+    assert printed == museum.table() + "\n"
+    flat = " ".join(printed.split())
+    for exercise in EXERCISES.values():
+        for mistake in exercise.mistakes:
+            assert f"{mistake.name} {mistake.hint}" in flat
+
+
+def test_stubs_of_a_chapter_are_printed(capsys):
+    assert report.main(["--stubs", "3"]) == 0
+    printed = capsys.readouterr().out
+    for exercise in EXERCISES.values():
+        assert (exercise.stub.rstrip() in printed) == (exercise.chapter == 3)
+
+
+@pytest.mark.parametrize("arguments", [
+    [], ["--stubs", "9"], ["--report", "a", "--limit", "0"], ["--museum", "--stubs", "1"]], ids=" ".join)
+def test_bad_arguments_are_refused(arguments, capsys):
+    with pytest.raises(SystemExit) as error:
+        report.main(arguments)
+    assert error.value.code == 2
+    assert "usage" in capsys.readouterr().err
+
+
+def test_cell_ids_are_unique_and_valid():
+    code = joined(cells.pair(exercise) for exercise in EXERCISES.values())
+    nbformat.validate(v4.new_notebook(cells=code))
+    assert len({cell.id for cell in code}) == len({cell.metadata.nbgrader.grade_id for cell in code}) == len(code)
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS or [None], ids=lambda path: path.stem if path else "none")
+def test_exercise_cells_of_the_notebooks_are_those_of_the_registry(path):
+    if path is None:
+        pytest.skip("there are no notebooks yet")
+    found = {cell.metadata.nbgrader.grade_id: cell for cell in nbformat.read(path, as_version=4).cells
+             if "nbgrader" in cell.metadata}
+    names = [grade_id for grade_id in found if not grade_id.startswith("check_")]
+    wanted = {cell.metadata.nbgrader.grade_id: cell for name in names for cell in cells.pair(EXERCISES[name])}
+    assert found.keys() == wanted.keys()
+    for grade_id, cell in wanted.items():
+        assert found[grade_id].source == cell.source
+        assert found[grade_id].metadata.nbgrader == cell.metadata.nbgrader
+
+
+# --- nbgrader ---------------------------------------------------------------------------------------------
+
+needs_nbgrader = pytest.mark.skipif(importlib.util.find_spec("nbgrader") is None,
+                                    reason="nbgrader is not installed: python -m pip install nbgrader")
+
+
+def nbgrader(*arguments, folder):
+    done = subprocess.run([sys.executable, "-m", "nbgrader", *arguments], cwd=folder, capture_output=True, text=True,
+                          timeout=120)
+    return done.stdout + done.stderr
+
+
+@needs_nbgrader
+def test_nbgrader_validates_answers_and_refuses_stubs(tmp_path):
+    chosen = [EXERCISES[name] for name in ("so3_hat", "projection_jacobian", "joint_update")]
+    write(tmp_path / "answers.ipynb", joined(filled(e, f"EXERCISES[{e.name!r}].reference") for e in chosen))
+    write(tmp_path / "stubs.ipynb", joined(cells.pair(e) for e in chosen))
+    write(tmp_path / "one_wrong.ipynb", joined(filled(e, f"EXERCISES[{e.name!r}].reference") for e in chosen[:2]) +
+          filled(chosen[2], "EXERCISES['joint_update'].mistakes[0].function"))
+    assert "Success! Your notebook passes all the tests." in nbgrader("validate", "answers.ipynb", folder=tmp_path)
+    assert "VALIDATION FAILED ON 3 CELL(S)" in nbgrader("validate", "stubs.ipynb", folder=tmp_path)
+    failed = nbgrader("validate", "one_wrong.ipynb", folder=tmp_path)
+    assert "VALIDATION FAILED ON 1 CELL(S)" in failed
+    assert "interleaved and grouped orders mixed" in failed
+
+
+@needs_nbgrader
+def test_nbgrader_releases_the_stubs_and_grades_what_comes_back(tmp_path):
+    (tmp_path / "nbgrader_config.py").write_text('get_config().CourseDirectory.course_id = "slam"\n')
+    pairs = [cells.pair(HAT), filled(EXERCISES["odot"], "EXERCISES['odot'].reference")]
+    write(tmp_path / "source" / "ex1" / "01.ipynb", joined(pairs))
+    assert "SystemExit" not in nbgrader("generate_assignment", "ex1", folder=tmp_path)
+    released = nbformat.read(tmp_path / "release" / "ex1" / "01.ipynb", as_version=4)
+    assert HAT.statement.splitlines()[0] in released.cells[0].source
+    assert "raise NotImplementedError" in released.cells[2].source
+    assert "reference" not in released.cells[2].source
+
+    released.cells[2].source = pairs[1][0].source
+    write(tmp_path / "submitted" / "anna" / "ex1" / "01.ipynb", [])
+    nbformat.write(released, tmp_path / "submitted" / "anna" / "ex1" / "01.ipynb")
+    nbgrader("autograde", "ex1", "--create", folder=tmp_path)
+    nbgrader("export", folder=tmp_path)
+    with open(tmp_path / "grades.csv", encoding="utf-8", newline="") as file:
+        [row] = csv.DictReader(file)
+    assert (float(row["raw_score"]), float(row["max_score"])) == (1, 2)
