@@ -15,13 +15,14 @@ from evo.core.trajectory import PoseTrajectory3D
 from evo.tools import file_interface
 
 from vislam_edu import __main__ as cli
-from vislam_edu import outputs, pipeline, recordings, report_figures
+from vislam_edu import faults, outputs, pipeline, recordings, report_figures
 from vislam_edu.noise import Noise
 from vislam_edu.simulate import street_loop
 
 SHARED = Path(__file__).resolve().parents[2] / "shared" / "data"
 KEYS = ["frames", "duration_s", "landmarks", "landmarks_used", "measurements", "rejected_share", "filter_s",
         "real_time_factor"]
+SENTENCES = ["changed", "warnings"]
 TRUTH_KEYS = ["position_rmse_m", "ate_m", "dead_reckoning_position_rmse_m", "dead_reckoning_ate_m",
               "drift_percent", "drift_deg_per_m"]
 FILES = sorted(["kitti/trajectory.txt", "tum/trajectory.txt", "result.npz", "summary.json",
@@ -65,7 +66,7 @@ def test_run_writes_everything_and_nothing_else(out):
 
 def test_summary_has_its_keys_and_says_what_the_filter_did(out, recording):
     summary = json.loads((out / "summary.json").read_text())
-    assert sorted(summary) == sorted(KEYS + TRUTH_KEYS)
+    assert sorted(summary) == sorted(KEYS + TRUTH_KEYS + SENTENCES)
     drive = recordings.load(recording)
     result = pipeline.run(drive, Noise())
     assert summary["frames"] == 130
@@ -140,7 +141,7 @@ def test_every_option_reaches_the_filter(options, out, recording, tmp_path):
 
 def test_report_noise_is_the_reports_unless_a_value_is_given():
     arguments = cli.parser().parse_args(["run", "--out", "x", "--report-noise", "--sigma-px", "1"])
-    noise = cli.noise_from(arguments)
+    _, noise, _ = cli.prepare(arguments)
     assert (noise.sigma_v, noise.sigma_omega, noise.sigma_px) == (
         Noise.from_report().sigma_v, Noise.from_report().sigma_omega, 1)
 
@@ -163,7 +164,7 @@ def test_street_loop_is_the_default_and_slam_beats_dead_reckoning_tenfold(tmp_pa
 def test_real_recording_without_truth(path, tmp_path):
     assert cli.main(["run", str(path), "--out", str(tmp_path), "--quiet", "--every", "20"]) == 0
     assert files(tmp_path) == FILES
-    assert sorted(json.loads((tmp_path / "summary.json").read_text())) == sorted(KEYS)
+    assert sorted(json.loads((tmp_path / "summary.json").read_text())) == sorted(KEYS + SENTENCES)
 
 
 @pytest.mark.parametrize("path", [shared("0027.npz")])
@@ -172,7 +173,7 @@ def test_real_recording_whose_truth_ends_early(path, tmp_path):
     assert cli.main(["run", str(path), "--ground-truth", str(truth), "--out", str(tmp_path), "--quiet",
                      "--every", "20"]) == 0
     summary = json.loads((tmp_path / "summary.json").read_text())
-    assert sorted(summary) == sorted(KEYS + TRUTH_KEYS)
+    assert sorted(summary) == sorted(KEYS + TRUTH_KEYS + SENTENCES)
     # DESIGN's table gives 16 m for dead reckoning with the IMU sample k+1; here it is the sample k.
     assert 10 < summary["dead_reckoning_ate_m"] < 25
 
@@ -367,8 +368,68 @@ def test_help(arguments, capsys):
         cli.main([*arguments, "--help"])
     assert stopped.value.code == 0
     text = capsys.readouterr().out
-    wanted = [*cli.COMMANDS, *cli.FORWARDED] if not arguments else ["usage: python -m vislam_edu"]
+    wanted = [*cli.COMMANDS, *cli.MODULES, *cli.FORWARDED] if not arguments else ["usage: python -m vislam_edu"]
     assert all(word in text for word in wanted)
+
+
+@pytest.mark.parametrize("name", cli.MODULES)
+def test_help_of_modules(name, capsys):
+    with pytest.raises(SystemExit) as stopped:
+        cli.main([name, "--help"])
+    assert stopped.value.code == 0
+    assert f"usage: python -m vislam_edu {name}" in capsys.readouterr().out
+
+
+# --- run --audit ------------------------------------------------------------------------------------------
+
+
+def faulty(path):
+    """A drive whose IMU is late and has a bias, and whose axes are flipped: the audit has something to find."""
+    drive = street_loop(seed=2, frames=150, visible=40, gyro_bias=(0.02, -0.015, 0.01))
+    recordings.save(faults.delay_imu(faults.flip_imu_axes(drive)), path)
+    return path
+
+
+def test_audit_cures_what_it_names_and_says_so(tmp_path, capsys):
+    path = faulty(tmp_path / "faulty.npz")
+    results = {}
+    for name, options in {"as it is": [], "cured": ["--audit"], "causal": ["--audit", "--causal"]}.items():
+        assert cli.main(["run", str(path), "--out", str(tmp_path / name), *options]) == 0
+        results[name] = json.loads((tmp_path / name / "summary.json").read_text()), capsys.readouterr().out
+    planted = results["as it is"][0]["changed"]
+    for name in ("cured", "causal"):
+        summary, said = results[name]
+        cures = summary["changed"][len(planted):]
+        assert any("diag(1, -1, -1)" in cure for cure in cures)
+        assert any("k+1" in cure for cure in cures)
+        assert all(cure in said for cure in cures)
+        assert summary["ate_m"] < results["as it is"][0]["ate_m"] / 4
+    assert any("gyro bias" in cure for cure in results["cured"][0]["changed"][len(planted):])
+    assert not any("gyro bias" in cure for cure in results["causal"][0]["changed"][len(planted):])
+
+
+def test_audit_prints_or_gives_json(tmp_path, capsys):
+    path = str(faulty(tmp_path / "faulty.npz"))
+    assert cli.main(["audit", path]) == 0
+    assert "IMU axes" in capsys.readouterr().out
+    assert cli.main(["audit", path, "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)["findings"]
+    assert {"IMU axes", "IMU timing"} <= {finding["fault"] for finding in found}
+
+
+def test_causal_needs_audit(recording, tmp_path, capfd):
+    assert cli.main(["run", str(recording), "--out", str(tmp_path / "x"), "--causal"]) == 2
+    assert "--audit" in capfd.readouterr().err
+
+
+def test_a_filter_that_rejects_a_lot_says_so(tmp_path, capfd):
+    recordings.save(street_loop(seed=1, frames=100, visible=20, outlier_share=0.3), tmp_path / "bad.npz")
+    assert cli.main(["run", str(tmp_path / "bad.npz"), "--out", str(tmp_path / "out"), "--quiet"]) == 0
+    assert "warning: the gate kept out" in capfd.readouterr().err
+    assert len(json.loads((tmp_path / "out" / "summary.json").read_text())["warnings"]) == 1
+
+
+# --- the commands -----------------------------------------------------------------------------------------
 
 
 def test_listing_the_commands_imports_no_filter():

@@ -81,6 +81,11 @@ def read_recording(arguments):
 
 def add_run(parser):
     add_recording(parser)
+    parser.add_argument("--audit", action="store_true",
+                        help="audit the recording first, apply the cures found (each is named), and run the filter for "
+                             "real drives: right-invariant, twist and gyro bias estimated, the IMU's noise as measured")
+    parser.add_argument("--causal", action="store_true",
+                        help="with --audit: leave out the cures that need the whole drive")
     parser.add_argument("--out", type=Path, required=True, metavar="DIR",
                         help="folder for figures, trajectories, result.npz and summary.json; made if missing")
     noise = parser.add_argument_group("noise, one standard deviation per sample and axis")
@@ -92,9 +97,9 @@ def add_run(parser):
     noise.add_argument("--report-noise", action="store_true",
                        help="the report's W and V where no other value is given (overconfident: try it)")
     joint = parser.add_argument_group("the joint filter")
-    joint.add_argument("--error-state", choices=("right", "invariant"), default="right",
-                       help="what an error is: the report's right perturbation, or the right-invariant "
-                            "error, which does not believe it learned the heading (default: right)")
+    joint.add_argument("--error-state", choices=("right", "invariant"),
+                       help="what an error is: the report's right perturbation, or the right-invariant error, which "
+                            "does not believe it learned the heading (default: right; invariant with --audit)")
     joint.add_argument("--initialisation", choices=("correlated", "as-report"), default="correlated",
                        help="covariance of a new landmark: from its triangulation and the pose, or the "
                             "report's 2 I without correlation (default: correlated)")
@@ -107,15 +112,33 @@ def add_run(parser):
     parser.add_argument("--quiet", action="store_true", help="no progress bar and no summary on the terminal")
 
 
-def noise_from(arguments):
-    """Noise with the given values in place of the defaults, or of the report's."""
+def noise_from(arguments, base):
+    """`base` with the values given on the command line in place of its own."""
     import dataclasses
 
+    given = {key: getattr(arguments, key) for key in ("sigma_v", "sigma_omega", "sigma_px")}
+    return dataclasses.replace(base, **{key: value for key, value in given.items() if value is not None})
+
+
+def prepare(arguments):
+    """The drive to run and the noise and motion model to run it with: as they are, or after an audit."""
+    from . import motion, pipeline
     from .noise import Noise
 
-    given = {key: getattr(arguments, key) for key in ("sigma_v", "sigma_omega", "sigma_px")}
-    given = {key: value for key, value in given.items() if value is not None}
-    return dataclasses.replace(Noise.from_report() if arguments.report_noise else Noise(), **given)
+    drive = read_recording(arguments)
+    model, base = motion.ImuDriven, Noise.from_report() if arguments.report_noise else Noise()
+    if arguments.audit:
+        from .audit import audit
+
+        report = audit(drive)
+        drive, model = report.cured(needs_future=not arguments.causal), motion.TwistAndBias
+        if not arguments.report_noise:
+            base = pipeline.noise_of_real_drive(report.noise)
+        if not arguments.quiet:
+            print(report, end="\n\n")
+            print("\n".join(["applied:", *(f"    {cure}" for cure in drive.history)] if drive.history else
+                            ["nothing to cure"]), end="\n\n")
+    return drive.thin(arguments.every), noise_from(arguments, base), model
 
 
 def run(arguments):
@@ -127,15 +150,16 @@ def run(arguments):
     from . import outputs, pipeline, slam
     from .error_state import RightInvariant, RightPerturbation
 
-    drive = read_recording(arguments).thin(arguments.every)
-    invariant = arguments.error_state == "invariant"
+    if arguments.causal and not arguments.audit:
+        raise DriveError("run: --causal says which cures to apply, so it needs --audit")
+    drive, noise, motion_model = prepare(arguments)
+    invariant = (arguments.error_state or ("invariant" if arguments.audit else "right")) == "invariant"
     method = "invariant" if invariant else "report" if arguments.report_noise else "slam"
     with outputs.appearing_in(arguments.out) as folder:
         try:
             result = pipeline.run(
-                drive, noise_from(arguments), RightInvariant() if invariant else RightPerturbation(),
-                method=method,
-                measure=slam.correlated if arguments.initialisation == "correlated" else slam.as_report,
+                drive, noise, RightInvariant() if invariant else RightPerturbation(), motion_model=motion_model,
+                method=method, measure=slam.correlated if arguments.initialisation == "correlated" else slam.as_report,
                 gate=arguments.gate, min_disparity=arguments.min_disparity,
                 progress=partial(tqdm, unit="frame", disable=arguments.quiet),
             )
@@ -146,6 +170,8 @@ def run(arguments):
     if not arguments.quiet:
         print(outputs.table(numbers))
         print(f"written to {arguments.out}")
+    for warning in numbers["warnings"]:
+        print(f"warning: {warning}", file=sys.stderr)
     return 0
 
 
@@ -201,10 +227,30 @@ COMMANDS = {
     "info": (add_recording, info, "what is in a recording"),
     "simulate": (add_simulate, simulate, "make a recording with ground truth: a street loop"),
 }
+# Modules that add their own arguments and do their own work, imported only when asked for: module, help.
+MODULES = {
+    "audit": ("audit", "hold a recording's sensors against each other, before it is filtered"),
+    "consistency": ("consistency", "the filters over many simulated drives: are their covariances honest?"),
+    "exercises": ("exercises.report", "grade submitted notebooks, list the mistakes that checks know"),
+}
 # Commands with a parser of their own get all that follows their name: module of this package, help.
 FORWARDED = {
     "notebooks": ("execute", "run the notebooks and store their outputs"),
 }
+
+
+def module_command(argv):
+    """Run one of `MODULES`: argv[0] is its name."""
+    from importlib import import_module
+
+    name, text = MODULES[argv[0]]
+    module = import_module(f".{name}", __package__)
+    command = Parser(prog=f"python -m vislam_edu {argv[0]}", description=text[0].upper() + text[1:] + ".")
+    if argv[0] == "audit":
+        add_recording(command)
+    module.add_arguments(command)
+    arguments = command.parse_args(argv[1:])
+    return module.run(arguments, read_recording(arguments)) if argv[0] == "audit" else module.run(arguments)
 
 
 def parser():
@@ -216,13 +262,15 @@ def parser():
         command = commands.add_parser(name, help=text, description=text[0].upper() + text[1:] + ".")
         add_arguments(command)
         command.set_defaults(work=work)
-    for name, (_, text) in FORWARDED.items():
+    for name, (_, text) in (MODULES | FORWARDED).items():
         commands.add_parser(name, help=text, add_help=False)
     return top
 
 
 def dispatch(argv):
     """Parse and do; returns the exit status, errors come out as exceptions."""
+    if argv and argv[0] in MODULES:
+        return module_command(argv)
     if argv and argv[0] in FORWARDED:
         from importlib import import_module
 

@@ -244,8 +244,8 @@ def add_arguments(parser):
     parser.add_argument("--workers", type=int, default=1, help="processes (default: %(default)s)")
 
 
-def run(arguments):
-    """Run the study on the default simulated drive, print its table, write and return its summary."""
+def run(arguments) -> int:
+    """Run the study on the default simulated drive, print its table, write its summary; returns the exit status."""
     sensors = {key: getattr(arguments, key) for key in ("sigma_v", "sigma_omega", "sigma_px")}
     make_drive = functools.partial(simulate.street_loop, frames=arguments.frames, **sensors)
     with joblib.parallel_config(n_jobs=arguments.workers):
@@ -255,4 +255,4 @@ def run(arguments):
     with replacing(arguments.out / "summary.json") as file:
         file.write((json.dumps(figures, indent=2) + "\n").encode())
     print(table(figures))
-    return figures
+    return 0

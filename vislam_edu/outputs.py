@@ -23,7 +23,8 @@ def summary(result) -> dict:
 
     With ground truth also position_rmse_m (the IMU's position, world = IMU frame at frame 0, no alignment),
     ate_m (after SE(3) alignment) and KITTI drift, of the left camera as in the benchmark, NaN for drives
-    under 100 m; those of dead reckoning carry its name.
+    under 100 m; those of dead reckoning carry its name. Last, as lists of sentences, changed (what was done
+    to the recording) and warnings (what speaks against the result).
     """
     drive, slam = result.drive, result.slam
     numbers = {
@@ -41,7 +42,7 @@ def summary(result) -> dict:
         numbers |= _errors(drive, result.dead_reckoning.world_T_imu, "dead_reckoning_")
         percent, degrees = metrics.kitti_drift(drive.truth_world_T_cam, _world_T_cam(drive, slam.trajectory))
         numbers |= {"drift_percent": percent, "drift_deg_per_m": degrees}
-    return numbers
+    return numbers | {"changed": list(drive.history), "warnings": result.warnings}
 
 
 def _errors(drive, world_T_imu, prefix):
@@ -63,11 +64,16 @@ def _world_T_cam(drive, trajectory):
 
 def table(numbers) -> str:
     """A summary as text, one number a line."""
-    return "\n".join(f"{key:<32}{_short(value)}" for key, value in numbers.items())
+    return "\n".join(f"{key:<32}{_short(value)}" for key, value in numbers.items() if not isinstance(value, list))
 
 
 def _short(value):
     return str(value) if isinstance(value, int) else f"{value:.4g}"
+
+
+def _strict(value):
+    """JSON knows no NaN: null instead."""
+    return None if isinstance(value, float) and math.isnan(value) else value
 
 
 def write(result, folder):
@@ -80,7 +86,7 @@ def write(result, folder):
     """
     folder, drive, slam = Path(folder), result.drive, result.slam
     numbers = summary(result)
-    strict = {key: None if math.isnan(value) else value for key, value in numbers.items()}
+    strict = {key: _strict(value) for key, value in numbers.items()}
     (folder / "summary.json").write_text(json.dumps(strict, indent=2) + "\n", encoding="utf-8")
     poses = _world_T_cam(drive, slam.trajectory)
     for layout in ("kitti", "tum"):

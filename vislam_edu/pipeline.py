@@ -8,7 +8,7 @@ listened to as it goes, and of each landmark only its last estimate is kept.
 """
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -72,6 +72,21 @@ class Result:
     initial: MapBelief
     mapped: Mapped
     slam: Slam
+    gate: float = 0.99
+
+    @property
+    def warnings(self) -> list[str]:
+        """What the filter's own gate says against its result, in words; empty when nothing does.
+
+        A gate of 99 % turns away one good measurement in a hundred. Ten times as many mean that the measurements and
+        the filter's claims do not fit together, whoever is wrong.
+        """
+        share, expected = self.slam.rejected_share, 1 - self.gate
+        if share <= 10 * expected or not expected:
+            return []
+        return [f"the gate kept out {share:.0%} of the measurements where {expected:.2g} is normal: tracks, "
+                "calibration or noise are not what the filter was told, so do not trust its covariance "
+                "(python -m vislam_edu audit shows which)"]
 
 
 def as_they_come(frames, **_):
@@ -79,12 +94,25 @@ def as_they_come(frames, **_):
     return frames
 
 
-def run(drive, noise, error_state=None, *, method="slam", measure=slam.correlated, gate=0.99,
-        min_disparity=1.0, progress=as_they_come) -> Result:
+TRACK_SIGMA_PX = 1.0  # px. From frame to frame tracks scatter by 0.2 px, but over their life they slip.
+
+
+def noise_of_real_drive(measured) -> Noise:
+    """The noise to filter a real drive with: its IMU's as measured, and 1 px for tracks that slip as they age.
+
+    measured : `measured_noise.MeasuredNoise`, or None where nothing could be measured (then the IMU's defaults).
+    """
+    if measured is None:
+        return Noise(sigma_px=TRACK_SIGMA_PX)
+    return replace(measured.noise, sigma_px=TRACK_SIGMA_PX)
+
+
+def run(drive, noise, error_state=None, *, motion_model=motion.ImuDriven, method="slam", measure=slam.correlated,
+        gate=0.99, min_disparity=1.0, progress=as_they_come) -> Result:
     """All the report's estimates of one drive.
 
-    drive : Drive. noise : Noise, of all of them. error_state, measure : see `slam.run`; the other two
-    filters do not have the choice. method : key of `style.COLOURS` that the joint filter is drawn with.
+    drive : Drive. noise : Noise, of all of them. error_state, motion_model, measure : see `slam.run`; the
+    other two filters do not have the choice. method : key of `style.COLOURS` that the joint filter is drawn with.
     gate : probability that a good measurement passes, in the joint filter. min_disparity : px, below it a
     landmark waits for a better view. progress : called as `progress(frames, total=, desc=)`, yields what
     `frames` yields; tqdm fits.
@@ -95,10 +123,11 @@ def run(drive, noise, error_state=None, *, method="slam", measure=slam.correlate
     steps = mapping.run(drive, noise, poses, mapping.as_report, gate=1, min_disparity=min_disparity)
     mapped = collect_mapping(progress(steps, total=drive.n_frames, desc="mapping"))
     error_state = error_state or RightPerturbation()
-    steps = slam.run(drive, noise, error_state, measure=measure, gate=gate, min_disparity=min_disparity)
+    steps = slam.run(drive, noise, error_state, motion_model=motion_model, measure=measure, gate=gate,
+                     min_disparity=min_disparity)
     steps = progress(steps, total=drive.n_frames, desc="SLAM")
     joint = collect_slam(drive, steps, error_state, method)
-    return Result(drive, noise, dead_reckoning, initial, mapped, joint)
+    return Result(drive, noise, dead_reckoning, initial, mapped, joint, gate)
 
 
 def first_sight(drive, noise, world_T_imu, min_disparity=1.0) -> MapBelief:
