@@ -126,7 +126,8 @@ def prepare(arguments):
     from .noise import Noise
 
     drive = read_recording(arguments)
-    model, base = motion.ImuDriven, Noise.from_report() if arguments.report_noise else Noise()
+    model: type[motion.ImuDriven | motion.TwistAndBias] = motion.ImuDriven
+    base = Noise.from_report() if arguments.report_noise else Noise()
     if arguments.audit:
         from .audit import audit
 

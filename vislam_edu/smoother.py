@@ -20,6 +20,8 @@ Source: Bierman, Fixed interval smoothing with discrete measurements, 1973 (the 
 """
 
 from dataclasses import dataclass
+from functools import partial
+from itertools import islice, pairwise
 from math import isqrt
 
 import numpy as np
@@ -111,8 +113,31 @@ def _undo_prediction(lam, Lam, n, transition):
     return lam, Lam
 
 
-def _settle(final, before, retired, keep, lam, Lam, error_state):
-    """Write down the final estimate of the retired landmarks of the belief `before` they left."""
+def _undo_window(final, before, prior, lam, Lam, error_state):
+    """From the landmarks of the prior back to those of the belief before it, where those that retired still were.
+
+    A landmark that the prior has and the belief before has not (born before the update, the report's way) had no past:
+    its row goes. One that retired has no future of its own: a row of zeros, once its final estimate is written down.
+    """
+    keep = slam.contains(prior.ids, before.ids)
+    old = np.flatnonzero(slam.contains(before.ids, prior.ids))
+    narrow = np.concatenate([_indices(old), np.arange(3 * len(prior.ids), len(lam))])
+    lam, Lam = lam[narrow], Lam[np.ix_(narrow, narrow)]
+    if keep.all():
+        return lam, Lam
+    _settle(final, before, keep, lam, Lam, error_state)
+    d = len(before.covariance)
+    wide = np.concatenate([_indices(np.flatnonzero(keep)), np.arange(3 * len(keep), d)])
+    lam_wide, Lam_wide = np.zeros((d, 1)), np.zeros((d, d))
+    lam_wide[wide], Lam_wide[np.ix_(wide, wide)] = lam, Lam
+    return lam_wide, Lam_wide
+
+
+def _settle(final, before, keep, lam, Lam, error_state):
+    """Write down the final estimates of the landmarks of a belief that leave it, keep (n,) False.
+
+    lam, Lam : over what stays.
+    """
     rows = np.flatnonzero(~keep)
     kept = np.concatenate([_indices(np.flatnonzero(keep)), np.arange(3 * len(keep), len(before.covariance))])
     P = before.covariance
@@ -125,67 +150,58 @@ def _settle(final, before, retired, keep, lam, Lam, error_state):
         own = own + cross + cross.T + C @ before.pose_covariance @ C.T
         to_all = to_all + C @ P[before.pose]
     future = to_all[:, kept]
-    r = len(rows)
+    r, retired = len(rows), before.ids[rows]
     each = np.arange(r)
     final.landmarks[retired] = before.landmarks[rows] + (future @ lam).reshape(r, 3)
     final.covariance[retired] = (own - future @ Lam @ future.T).reshape(r, 3, r, 3)[each, :, each, :]
     final.used[retired] = True
 
 
-def final_map(drive, noise, error_state=None, progress=lambda frames: frames, **options) -> FinalMap:
+def _backwards(n_frames, run):
+    """Pairs (step before, step) of a run over n_frames, the last first; before the first step is None.
+
+    run : function that starts the filter, `run(after=step)` one that goes on. The filter goes over the drive once for
+    a step to restart from every sqrt(T) frames, and once more piece by piece: memory is that of a few dozen steps.
+    """
+    piece = max(1, isqrt(n_frames))
+    starts = [None, *(step for step in run(after=None) if (step.k + 1) % piece == 0)]
+    for start in reversed(starts):
+        steps = [start, *islice(run(after=start), piece)]
+        yield from reversed(list(pairwise(steps)))
+
+
+def final_map(drive, noise, error_state=None, progress=lambda frames, total: frames, **options) -> FinalMap:
     """Every landmark as the filter that never retires one would know it at the end of the drive.
 
-    drive, noise, error_state, options : as for `slam.run`, which is run twice: once forward for beliefs to start from
-    every sqrt(T) frames, and once more piece by piece while walking back. So memory is that of a few dozen Steps,
-    however long the drive.
-    progress : wraps the frame numbers of the backward walk, for instance `tqdm.auto.tqdm`.
+    drive, noise, error_state, options : as for `slam.run`, with its `ImuDriven` motion model.
+    progress : called as `progress(frames, total=T)` on the backward walk, for instance `tqdm.auto.tqdm`.
+    Raises ValueError for another motion model or for a run that retires nothing.
 
     For `RightPerturbation` the result is that filter's, to rounding. For `RightInvariant` it is to first order: there
     a correction turns all landmarks about the origin, which is not a sum.
     """
+    for name in ("motion_model", "retire"):
+        if name in options:
+            raise ValueError(f"final_map walks back through the plain window filter, so it takes no {name}")
     error_state = error_state or RightPerturbation()
-    T = drive.n_frames
-    piece = max(1, isqrt(T))
-    checkpoints, last = {-1: None}, None
-    for last in slam.run(drive, noise, error_state, **options):
-        if (last.k + 1) % piece == 0:
-            checkpoints[last.k] = last
     model = motion.ImuDriven(drive, noise, error_state)
     sensors = slam.Sensors(drive.camera, noise, error_state, np.inf, 0.0)
-
     M = drive.n_landmarks
-    final = FinalMap(np.zeros((M, 3)), np.zeros((M, 3, 3)), np.zeros(M, dtype=bool))
-    d = len(last.posterior.covariance)
-    lam, Lam = np.zeros((d, 1)), np.zeros((d, d))
-    everyone = np.zeros(len(last.posterior.ids), dtype=bool)
-    _settle(final, last.posterior, last.posterior.ids, everyone, lam[-6:], Lam[-6:, -6:], error_state)
+    final = FinalMap(np.zeros((M, 3)), np.zeros((M, 3, 3)), np.zeros(M, bool))
 
-    for k in progress(range(T - 1, 0, -1)):
-        if k == T - 1 or (k + 1) % piece == 0:
-            first = checkpoints[(k // piece) * piece - 1]
-            start = -1 if first is None else first.k
-            steps = {start: first}
-            for step in slam.run(drive, noise, error_state, after=first, **options):
-                steps[step.k] = step
-                if step.k == k:
-                    break
-        step = steps.pop(k)
+    lam = Lam = None
+    run = partial(slam.run, drive, noise, error_state, **options)
+    for earlier, step in progress(_backwards(drive.n_frames, run), total=drive.n_frames):
+        if lam is None:  # the end: no future, and whoever is still in the state has its final estimate
+            d, n = len(step.posterior.covariance), len(step.posterior.ids)
+            lam, Lam = np.zeros((d, 1)), np.zeros((d, d))
+            _settle(final, step.posterior, np.zeros(n, bool), lam[3 * n:], Lam[3 * n:, 3 * n:], error_state)
+        if earlier is None:
+            break
         lam, Lam = _undo_birth(lam, Lam, step, sensors)
         lam, Lam = _undo_update(lam, Lam, step, sensors)
-        earlier = steps.get(k - 1) or checkpoints[k - 1]
-        transition = model.transition(earlier.posterior, k - 1)
+        transition = model.transition(earlier.posterior, earlier.k)
         before = motion.carry(earlier.posterior, transition)
-        # Landmarks born before the update (the report's way) had no past; those that retired had no future.
-        keep = slam.contains(step.prior.ids, before.ids)
-        n = len(before.ids)
-        there = np.concatenate([_indices(np.flatnonzero(slam.contains(before.ids, step.prior.ids))),
-                                np.arange(3 * len(step.prior.ids), len(lam))])
-        lam, Lam = lam[there], Lam[np.ix_(there, there)]
-        if not keep.all():
-            _settle(final, before, before.ids[~keep], keep, lam, Lam, error_state)
-            wide = np.concatenate([_indices(np.flatnonzero(keep)), np.arange(3 * n, len(before.covariance))])
-            narrow = (lam, Lam)
-            lam, Lam = np.zeros((len(before.covariance), 1)), np.zeros(before.covariance.shape)
-            lam[wide], Lam[np.ix_(wide, wide)] = narrow
-        lam, Lam = _undo_prediction(lam, Lam, 3 * n, transition)
+        lam, Lam = _undo_window(final, before, step.prior, lam, Lam, error_state)
+        lam, Lam = _undo_prediction(lam, Lam, 3 * len(before.ids), transition)
     return final
