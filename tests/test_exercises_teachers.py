@@ -4,6 +4,7 @@ import csv
 import importlib.util
 import itertools
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -186,18 +187,29 @@ def test_cell_ids_are_unique_and_valid():
     assert len({cell.id for cell in code}) == len({cell.metadata.nbgrader.grade_id for cell in code}) == len(code)
 
 
-@pytest.mark.parametrize("path", NOTEBOOKS or [None], ids=lambda path: path.stem if path else "none")
+def test_refreshing_a_notebook_brings_its_exercise_cells_up_to_date(tmp_path, capsys):
+    stub, test = cells.pair(HAT)
+    helper, text = v4.new_code_cell("def project(x):\n    return x"), v4.new_markdown_cell("check.so3_hat(so3_hat)")
+    path = write(tmp_path / "a.ipynb", [v4.new_code_cell("def so3_hat(x):\n    # BEGIN SOLUTION"), helper, text,
+                                        v4.new_code_cell("check.so3_hat(so3_hat)"), *cells.pair(EXERCISES["odot"])])
+    assert report.main(["--refresh", str(path)]) == 0
+    assert "changed so3_hat, check_so3_hat\n" in capsys.readouterr().out
+    refreshed = nbformat.read(path, as_version=4).cells
+    assert [(cell.source, cell.metadata) for cell in refreshed[:4]] == [
+        (cell.source, cell.metadata) for cell in (stub, helper, text, test)]
+    before = path.read_bytes()
+    assert report.main(["--refresh", str(path)]) == 0
+    assert "changed nothing" in capsys.readouterr().out
+    assert path.read_bytes() == before
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 def test_exercise_cells_of_the_notebooks_are_those_of_the_registry(path):
-    if path is None:
-        pytest.skip("there are no notebooks yet")
-    found = {cell.metadata.nbgrader.grade_id: cell for cell in nbformat.read(path, as_version=4).cells
-             if "nbgrader" in cell.metadata}
-    names = [grade_id for grade_id in found if not grade_id.startswith("check_")]
-    wanted = {cell.metadata.nbgrader.grade_id: cell for name in names for cell in cells.pair(EXERCISES[name])}
-    assert found.keys() == wanted.keys()
-    for grade_id, cell in wanted.items():
-        assert found[grade_id].source == cell.source
-        assert found[grade_id].metadata.nbgrader == cell.metadata.nbgrader
+    notebook = nbformat.read(path, as_version=4)
+    assert cells.refresh(notebook) == [], f"python -m vislam_edu exercises --refresh {path}"
+    called = joined(grading._CALL.findall(cell.source) for cell in notebook.cells if cell.cell_type == "code")
+    graded = [cell.metadata.nbgrader.grade_id for cell in notebook.cells if "nbgrader" in cell.metadata]
+    assert sorted(graded) == sorted([*called, *(f"check_{name}" for name in called)])
 
 
 # --- nbgrader ---------------------------------------------------------------------------------------------
@@ -207,8 +219,10 @@ needs_nbgrader = pytest.mark.skipif(importlib.util.find_spec("nbgrader") is None
 
 
 def nbgrader(*arguments, folder):
+    """What one nbgrader command printed. It calls programs of its own environment by name: they go onto the path."""
+    path = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
     done = subprocess.run([sys.executable, "-m", "nbgrader", *arguments], cwd=folder, capture_output=True, text=True,
-                          timeout=120)
+                          timeout=300, env=os.environ | {"PATH": path})
     return done.stdout + done.stderr
 
 

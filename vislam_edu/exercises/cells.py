@@ -5,9 +5,14 @@ stands between the marks. The check is a locked test cell worth a point; under n
 passed.
 """
 
-from .exercise import Exercise
+import re
+
+from .exercise import EXERCISES, Exercise
 
 POINTS = 1
+
+_MARK = "BEGIN SOLUTION"
+_STUB_OR_CHECK = re.compile(r"^(?:def (\w+)\(|(?:from vislam_edu\.exercises import check\s+)?check\.(\w+)\()")
 
 
 def source(exercise: Exercise) -> tuple[str, str]:
@@ -29,3 +34,23 @@ def pair(exercise: Exercise) -> list:
         v4.new_code_cell(test, id="check-" + name.replace("_", "-"), metadata={"nbgrader": common | {
             "grade": True, "grade_id": f"check_{name}", "locked": True, "points": POINTS, "solution": False}}),
     ]
+
+
+def refresh(notebook) -> list[str]:
+    """Bring the exercise cells of a notebook up to date, in place: their text and nbgrader's metadata.
+
+    For authors; an answer in a stub cell is lost. A stub is a cell that begins with the function's `def` and holds
+    nbgrader's mark; a check begins with its call. Returns the grade ids of the cells that changed.
+    """
+    changed = []
+    for cell in notebook.cells:
+        found = _STUB_OR_CHECK.match(cell.source)
+        if found is None or cell.cell_type != "code" or (found[1] and _MARK not in cell.source):
+            continue
+        exercise = EXERCISES.get(found[1] or found[2])
+        if exercise:
+            wanted = pair(exercise)[0 if found[1] else 1]
+            if (cell.source, cell.metadata.get("nbgrader")) != (wanted.source, wanted.metadata.nbgrader):
+                cell.source, cell.metadata["nbgrader"] = wanted.source, wanted.metadata.nbgrader
+                changed.append(wanted.metadata.nbgrader.grade_id)
+    return changed

@@ -12,6 +12,7 @@ import json
 from collections import Counter
 from pathlib import Path
 
+from ..files import replacing
 from . import cells, grading, museum
 from .exercise import EXERCISES
 from .verdict import NOT_WRITTEN, RIGHT, WRONG
@@ -28,6 +29,9 @@ def add_arguments(parser):
     what.add_argument("--museum", action="store_true", help="print every exercise, its mistakes and their hints")
     what.add_argument("--stubs", type=int, choices=sorted({e.chapter for e in EXERCISES.values()}),
                       metavar="CHAPTER", help="print the exercise cells of a chapter, for authors")
+    what.add_argument("--refresh", type=Path, metavar="NOTEBOOK",
+                      help="for authors: bring the exercise cells of a notebook up to date, with nbgrader's metadata; "
+                           "answers in them are lost")
     parser.add_argument("--out", type=Path, default=Path(), metavar="DIR",
                         help="where --report writes exercises.csv and exercises.json (default: here)")
     parser.add_argument("--limit", type=_seconds, default=grading.LIMIT, metavar="S",
@@ -47,6 +51,8 @@ def run(arguments) -> int:
         print(museum.table())
     elif arguments.stubs is not None:
         print(stubs(arguments.stubs))
+    elif arguments.refresh is not None:
+        print(f"{arguments.refresh}: changed {', '.join(refresh(arguments.refresh)) or 'nothing'}")
     else:
         arguments.out.mkdir(parents=True, exist_ok=True)
         submissions = graded(arguments.report, arguments.limit)
@@ -66,6 +72,18 @@ def stubs(chapter) -> str:
     """The cells of a chapter's exercises as text."""
     chosen = [exercise for exercise in EXERCISES.values() if exercise.chapter == chapter]
     return "\n\n\n".join(text for exercise in chosen for text in cells.source(exercise))
+
+
+def refresh(path: Path) -> list[str]:
+    """Bring the exercise cells of a notebook file up to date; returns the grade ids of those that changed."""
+    import nbformat
+
+    notebook = nbformat.read(path, as_version=4)
+    changed = cells.refresh(notebook)
+    if changed:
+        with replacing(path) as file:
+            file.write((nbformat.writes(notebook) + "\n").encode())
+    return changed
 
 
 # --- submissions ------------------------------------------------------------------------------------------
