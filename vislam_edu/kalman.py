@@ -25,8 +25,7 @@ def nis(residual, S):
     residual : (..., m). S : (..., m, m). Returns (...).
     Source: Bar-Shalom, Li, Kirubarajan, Estimation with Applications to Tracking and Navigation, section 5.4.
     """
-    whitened = np.linalg.solve(np.linalg.cholesky(S), residual[..., None])[..., 0]
-    return np.sum(whitened**2, axis=-1)
+    return np.sum(residual * np.linalg.solve(S, residual[..., None])[..., 0], axis=-1)
 
 
 def gate_threshold(probability, dof=4) -> float:
