@@ -20,11 +20,11 @@ from scipy.stats import binom, chi2, norm, poisson
 
 from . import cures, imu_alignment, measured_noise, recordings, se3, track_health, visual_odometry
 from .audit_report import AXES, Finding, Report
-from .cures import Cure
 from .drive import Drive
 from .imu_alignment import GYRO_BIAS, GYRO_SCALE, LEVER_ARM, ROTATION, SPEED_SCALE, Alignment
 
 SIGNIFICANCE = 1e-4  # a clean drive is accused of each fault less often than this
+FITS = 0.01  # the right explanation is turned down this often
 
 # What matters: below, a filter would not notice
 MIN_BEHIND_INFINITY = 5e-4  # share of the observations
@@ -172,7 +172,8 @@ def _facts(drive, cured, motions):
     facts = {
         "tracks in view (least, mean, most)": [int(drive.visible.min()), float(drive.visible.mean()),
                                                int(drive.visible.max())],
-        "track length in frames (median, longest)": [float(np.median(lengths)), int(lengths.max(initial=0))],
+        "track length in frames (median, longest)": [float(np.median(lengths)) if lengths.size else 0.0,
+                                                     int(lengths.max(initial=0))],
         "disparities at or below 0 px": int((disparity <= 0).sum()),
         "disparities below 1 px": int((disparity < 1).sum()),
         "noise of v_left - v_right per coordinate [px]": visual_odometry.row_noise(drive.pixels),
@@ -227,34 +228,46 @@ def _correlation_by_extrinsics(drive, motions):
 
 
 def _mirrored(drive, motions, alignment, findings):
-    """A gyro axis that no rotation can explain: one sign is wrong. Returns the alignment without it."""
-    limit = np.tanh(norm.isf(SIGNIFICANCE / 6) / np.sqrt(len(alignment.steps)))  # Fisher's z of no correlation
-    if not (alignment.correlation[3:] < -limit).any():
+    """A gyro axis with the wrong sign, which no rotation explains. Returns the alignment of what is right then.
+
+    A car that drives ahead cannot tell one mirrored axis from another one and a half turn of the IMU; the reading that
+    needs no turn is taken.
+    """
+    trials = []
+    for axis in range(3):
+        cure = cures.reverse_gyro_axis(axis)
+        mirrored = imu_alignment.align(drive.apply(cure), motions)
+        cost = [imu_alignment.cost(fit, mirrored.variance) for fit in (alignment, mirrored)]
+        z2 = imu_alignment.evidence((cost[0] - cost[1]) / 2, 4 * imu_alignment.camera_noise(mirrored))
+        straight = np.array_equal(_turn(drive, mirrored), np.eye(3))
+        trials.append((z2, straight, axis, cure, mirrored))
+    threshold = chi2.isf(SIGNIFICANCE / 3, 1)
+    most = max(z2 for z2, *_ in trials)
+    if most <= threshold:
         return alignment
-    by_file = _correlation_by_extrinsics(drive, motions)
-    wrong = np.flatnonzero(by_file[3:] < -limit)
-    if len(wrong) % 2 == 0:  # the axes are turned as well: take the mirror that is left after the turn
-        wrong = np.flatnonzero(alignment.correlation[3:] < -limit)
-    factors = np.ones(6)
-    factors[3 + wrong] = -1
-    names = ", ".join(AXES[3 + i] for i in wrong)
-    strength = np.abs(alignment.correlation[3:]).max()
-    p = float(norm.sf(np.arctanh(min(strength, 1 - 1e-12)) * np.sqrt(len(alignment.steps))))
-    cure = cures.divide_imu(factors, f"{names} reversed")
+    likely = [trial for trial in trials if trial[0] > most - threshold]
+    z2, _, axis, cure, mirrored = max(likely, key=lambda trial: (trial[1], trial[0]))
     findings.append(Finding(
-        "mirrored axis", (3 + wrong).tolist(), "column of the twist", _chance(p),
-        f"{names} has the wrong sign: no rotation of the IMU explains it", cure, f"reverse {names}",
+        "mirrored axis", axis, "axis of the gyro", _chance(3 * chi2.sf(z2, 1)),
+        f"{AXES[3 + axis]} has the wrong sign: no rotation of the IMU explains it",
+        cure, f"reverse {AXES[3 + axis]}",
     ))  # fmt: skip
-    return imu_alignment.align(drive.apply(cure), motions)
+    return mirrored
+
+
+def _turn(drive, alignment):
+    """The rotation of whole axes from the extrinsics' IMU frame to that of the samples, nearest to the fitted one."""
+    samples_R_extrinsics = alignment.imu_R_cam @ drive.camera.cam_T_imu[:3, :3]
+    group = Rotation.create_group("O").as_matrix().round()
+    return group[np.argmax(np.einsum("gij,ij->g", group, samples_R_extrinsics))]
 
 
 def _axes(drive, alignment: Alignment):
     """The IMU frame of the samples against the one of the extrinsics: rotations of whole axes."""
-    samples_R_extrinsics = alignment.imu_R_cam @ drive.camera.cam_T_imu[:3, :3]
-    turn = _nearest_whole(samples_R_extrinsics)
+    turn = _turn(drive, alignment)
     if np.array_equal(turn, np.eye(3)):
         return
-    p = float(chi2.sf(imu_alignment.misfit(alignment, drive.camera.imu_T_cam[:3, :3]), 3))
+    p = imu_alignment.mounting_p_value(alignment, drive.camera.imu_T_cam[:3, :3])
     if p < SIGNIFICANCE:
         name = cures.describe_axes(turn)
         flipped = " and ".join("xyz"[i] for i in range(3) if turn[i, i] < 0) if (np.diag(turn) != 0).all() else ""
@@ -264,12 +277,6 @@ def _axes(drive, alignment: Alignment):
             + (f", the {flipped} axes are flipped" if flipped else ""),
             cures.turn_imu_axes(turn.T), f"right-multiply cam_T_imu by {cures.describe_axes(turn.T)}",
         )  # fmt: skip
-
-
-def _nearest_whole(R):
-    """The one of the 24 rotations of whole axes that is nearest to R (3, 3)."""
-    group = Rotation.create_group("O").as_matrix().round()
-    return group[np.argmax(np.einsum("gij,ij->g", group, R))]
 
 
 def _shrunk(deviation, covariance, prior):
@@ -286,7 +293,7 @@ def _misalignment(drive, alignment):
         return
     # Two tests, because a large angle that the drive hardly tells of is far from linear
     p = max(alignment.p_value(ROTATION, turn),
-            float(chi2.sf(imu_alignment.misfit(alignment, drive.camera.imu_T_cam[:3, :3]), 3)))
+            imu_alignment.mounting_p_value(alignment, drive.camera.imu_T_cam[:3, :3]))
     if p < SIGNIFICANCE:
         yield Finding(
             "misalignment", np.degrees(known).tolist(), "deg", _chance(p),
@@ -316,7 +323,7 @@ def _lever_arm(drive, alignment):
     text = (f"the turns put the camera at {_list(alignment.camera_in_imu, 2)} +- "
             f"{_list(np.sqrt(np.diag(covariance)), 2)} m in the IMU frame, the extrinsics at {_list(given, 2)} m")
     swap = cures.swap_translation()
-    if p_value(swap(drive).camera) >= SIGNIFICANCE:
+    if p_value(swap(drive).camera) >= FITS:
         cure, advice = swap, "replace the translation t of cam_T_imu by -R t"
         text += "; its translation t is the camera's position in the IMU frame, where the map needs -R t"
     else:
@@ -337,7 +344,7 @@ def _scales(drive, alignment):
             yield Finding(
                 f"{what} scale", scale, "IMU / cameras", _chance(p),
                 f"the IMU's {what} is {scale:.3f} times the cameras'",
-                cures.divide_imu(factors, f"{what} divided by {scale:.4f}"),
+                cures.scale_imu(factors, f"{what} divided by {scale:.4f}"),
                 f"divide the {what} by {scale:.3f}, if the baseline is to be trusted more",
             )  # fmt: skip
 

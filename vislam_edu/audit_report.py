@@ -22,8 +22,9 @@ class Finding:
     """One thing that is wrong with a recording.
 
     fault : its short name. size, unit : how large, a number or a list. p_value : how often a recording without
-    the fault would look as bad (0 where no chance is involved, never below 1e-300 where it is). text : one sentence. cure : `Cure`, or None where the
-    recording cannot tell which of its numbers is wrong. advice : what to do, one line.
+    the fault would look as bad (0 where no chance is involved, never below 1e-300 where it is). text : one
+    sentence. cure : `Cure`, or None where the recording cannot tell which of its numbers is wrong. advice : what to
+    do, one line.
     """
 
     fault: str
@@ -174,7 +175,7 @@ def _draw_gyro(ax, i, since_start, alignment):
 
 
 def _draw_timing(ax, timing):
-    ax.set(title="which step does IMU sample k fit?", xlabel="offset s: sample k fits step k + s",
+    ax.set(title="which step does gyro sample k fit?", xlabel="offset s: sample k fits step k + s",
            ylabel="log likelihood, best is 0")
     if timing is not None:
         relative = timing.log_likelihood - timing.log_likelihood.max()
@@ -196,8 +197,8 @@ def _draw_tracks(ax, since_start, drive, copy_steps):
 
 def _draw_disparities(ax, drive):
     disparity = track_health.disparity(drive)
-    low, high = min(-3.0, np.percentile(disparity, 0.1)), max(3.0, np.percentile(disparity, 99))
-    ax.hist(disparity, bins=np.linspace(low, high, 80), color=style.COLOURS["measured"])
+    low, high = np.percentile(disparity, [0.1, 99]) if disparity.size else (0, 0)
+    ax.hist(disparity, bins=np.linspace(min(-3, low), max(3, high), 80), color=style.COLOURS["measured"])
     ax.axvline(0, lw=1, color=style.COLOURS["rejected"])
     ax.set(title="disparities (zero and below: no such point)", xlabel="u_left - u_right [px]",
-           ylabel="observations", yscale="log")
+           ylabel="observations", yscale="log" if disparity.size else "linear")

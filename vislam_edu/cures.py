@@ -1,9 +1,9 @@
-"""Corrections of a recording, each a small named thing: `drive.apply(cure)` does it and writes it into the history.
+"""Corrections of a recording, each a small named thing: `drive.apply(cure)` does it and the history says so.
 
-A cure that `needs_future` uses a number or a choice that was fitted to the whole drive: fine for study, but a filter that
-ran while the car drove could not have had it. Ending a track where its tracker fails needs no future. Nor does the
-reading of a file (which axes, which sample, which way a translation points): it is a fact about how the file was written,
-true from the first frame on, and no number of it is fitted.
+A cure that `needs_future` uses a number or a choice that was fitted to the whole drive: fine for study, but a
+filter that ran while the car drove could not have had it. Ending a track where its tracker fails needs no future.
+Nor does the reading of a file (which axes, which sample, which way a translation points): it is a fact about how
+the file was written, true from the first frame on, and no number of it is fitted.
 """
 
 from collections.abc import Callable
@@ -65,23 +65,25 @@ def end_tracks_behind_infinity() -> Cure:
 
 
 def drop_tracks(drive: Drive, tracks) -> Cure:
-    """Leave out the tracks (m,), landmark ids of `drive`; later drives find them by their first observation.
+    """Leave out these tracks (m,), landmark ids of `drive`.
 
-    Needs the future: that a track is wrong shows over its life.
+    Other cures renumber the landmarks, so a track is known by where and when it was first seen. Needs the future: that
+    a track is wrong shows over its life.
     """
-    rows = np.flatnonzero(drive.frame == drive.first_seen[drive.landmark])
-    rows = rows[np.isin(drive.landmark[rows], tracks)]
-    births = {(float(drive.times[drive.frame[i]]), *drive.pixels[i].tolist()) for i in rows}
+    tracks = set(np.asarray(tracks).tolist())
+    births = {birth for landmark, birth in _births(drive) if landmark in tracks}
 
     def function(drive):
-        first = np.flatnonzero(drive.frame == drive.first_seen[drive.landmark])
-        wrong = [
-            drive.landmark[i] for i in first
-            if (float(drive.times[drive.frame[i]]), *drive.pixels[i].tolist()) in births
-        ]  # fmt: skip
+        wrong = [landmark for landmark, birth in _births(drive) if birth in births]
         return drive.keep_landmarks(~np.isin(np.arange(drive.n_landmarks), wrong))
 
     return Cure(f"{len(births)} outlier tracks dropped", True, function)
+
+
+def _births(drive):
+    """Each landmark with the time and the left pixel of its first observation."""
+    for i in np.flatnonzero(drive.frame == drive.first_seen[drive.landmark]):
+        yield int(drive.landmark[i]), (float(drive.times[drive.frame[i]]), *drive.pixels[i, :2].tolist())
 
 
 def end_tracks_before(drive: Drive, bad) -> Drive:
@@ -160,9 +162,16 @@ def subtract_gyro_bias(bias) -> Cure:
     )  # fmt: skip
 
 
-def divide_imu(factors, what: str) -> Cure:
-    """Divide the IMU samples by factors (6,): a wrong scale or a mirrored axis (-1)."""
+def scale_imu(factors, what: str) -> Cure:
+    """Divide the IMU samples by fitted factors (6,); what : the cure's name."""
     return Cure(what, True, lambda drive: drive.replace(twists=drive.twists / np.asarray(factors)))
+
+
+def reverse_gyro_axis(axis: int) -> Cure:
+    """Turn the sign of one gyro axis (0, 1, 2)."""
+    signs = np.ones(6)
+    signs[3 + axis] = -1
+    return Cure(f"gyro {'xyz'[axis]} reversed", False, lambda drive: drive.replace(twists=drive.twists * signs))
 
 
 def level_rows(offset: float) -> Cure:

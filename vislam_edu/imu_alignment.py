@@ -1,13 +1,15 @@
 """An IMU held against the motion that the cameras saw: when it measured, how it is mounted, how wrong it is.
 
-The cameras' twist `[v, w]` of each step (`visual_odometry`) is turned into what the IMU should have measured,
+The cameras' twist `[v, w]` of each step (`visual_odometry`) is turned into what the IMU should measure,
 
     gyro   c_w R w + b               R = imu_R_cam, b gyro bias, c_w gyro scale
     speed  c_v (R v + p x R w)       p position of the left camera in the IMU frame (lever arm), c_v speed scale
 
-and the difference is fitted by least squares. `p x R w` is the Adjoint's off-diagonal block: what a camera away from the
-IMU sees of a turn. Source: Barfoot, State Estimation for Robotics, section 7.1.4 (the Adjoint); Markley, Attitude
-determination using vector observations and the singular value decomposition, 1988 (the start).
+and the difference is fitted by least squares. `p x R w` is the Adjoint's off-diagonal block: what a camera away
+from the IMU sees of a turn.
+
+Source: Barfoot, State Estimation for Robotics, section 7.1.4 (the Adjoint); Markley, Attitude determination
+using vector observations and the singular value decomposition, 1988 (the start).
 """
 
 from dataclasses import dataclass
@@ -24,8 +26,8 @@ N_PARAMETERS = 11
 _ITERATIONS = 12
 _MIN_STEPS = 30
 _LEAST_NOISE = 1e-6  # m/s and rad/s: no sensor is perfect, and a zero has no logarithm
-# What nothing tells of (no turns, no speed) stays near zero, or one: 100 m and 0.5 do not pull on what is told
-_PRIOR = np.diag([1e-9] * 3 + [1e-4] * 3 + [1e-9] * 3 + [4.0] * 2)
+# What nothing tells of (no turns, no speed) stays near zero, or one; 100 m and a scale of 100 do not pull on the rest
+_PRIOR = np.diag([1e-9] * 3 + [1e-4] * 3 + [1e-9] * 3 + [1e-4] * 2)
 CUT = 4.0  # standard deviations: what lies beyond is a failure of tracker or IMU, not noise
 
 
@@ -110,15 +112,37 @@ def align(drive, motions) -> Alignment:
     return _fit(steps, drive.step_twists[steps], motions.twists[steps], motions.twist_covariance[steps])
 
 
-def misfit(alignment, imu_R_cam) -> float:
-    """How much the sum of squares, in units of the noise, grows when the mounting must be imu_R_cam (3, 3).
+def evidence(gain, camera_noise) -> float:
+    """Squared z of a gain in log likelihood that the cameras' own noise (variance camera_noise) may have made.
 
-    All else is fitted anew. Chi-square with 3 degrees of freedom where imu_R_cam is right.
+    What the cameras got wrong meets the IMU's noise by chance, differently for every explanation. The right
+    explanation, whose fit differs from a wrong one's by an energy E, loses by N(-E, 2 E + camera_noise); E is taken as
+    the least favourable one. Without camera noise this is the likelihood ratio, twice the gain.
+    """
+    if gain <= 0:
+        return 0.0
+    return 2 * gain - camera_noise if gain >= camera_noise else gain**2 / camera_noise
+
+
+def camera_noise(alignment) -> float:
+    """Variance of the log likelihood that stems from the cameras' noise, see `evidence`."""
+    return float((alignment.camera_variance * alignment.imu_sigma**2 / alignment.variance**2).sum())
+
+
+def mounting_p_value(alignment, imu_R_cam) -> float:
+    """How often the fitted mounting would win by as much over imu_R_cam (3, 3) if that were right.
+
+    All else is fitted anew. A wrong angle theta sees the cameras' noise turned by theta: 4 sin^2(theta / 2) of it.
     """
     bound = _fit(alignment.steps, alignment.measured, alignment.seen, alignment.seen_covariance, imu_R_cam)
-    cost = [np.minimum((fit.measured - fit.predicted) ** 2 / alignment.variance, CUT**2).sum()
-            for fit in (bound, alignment)]
-    return float(max(cost[0] - cost[1], 0.0))
+    gain = (cost(bound, alignment.variance) - cost(alignment, alignment.variance)) / 2
+    angle = np.linalg.norm(se3.so3_log(imu_R_cam @ alignment.imu_R_cam.T))
+    return float(chi2.sf(evidence(gain, 4 * np.sin(angle / 2) ** 2 * camera_noise(alignment)), 3))
+
+
+def cost(alignment, variance) -> float:
+    """Sum of squared residuals in units of variance (n, 6), each counted up to four standard deviations."""
+    return float(np.minimum((alignment.measured - alignment.predicted) ** 2 / variance, CUT**2).sum())
 
 
 def _fit(steps, measured, seen, covariance, imu_R_cam=None) -> Alignment:
@@ -128,7 +152,7 @@ def _fit(steps, measured, seen, covariance, imu_R_cam=None) -> Alignment:
     cameras' in that step; what lies beyond four standard deviations is left out.
     """
     R = _start(measured, seen) if imu_R_cam is None else imu_R_cam
-    p, b, scales = np.zeros(3), np.zeros(3), np.ones(2)
+    p, b, scales = np.zeros(3), np.zeros(3), _start_scales(measured, seen, R)
     for _ in range(_ITERATIONS):
         predicted, jacobian = _model(seen, R, p, b, scales)
         residual = measured - predicted
@@ -149,7 +173,8 @@ def _fit(steps, measured, seen, covariance, imu_R_cam=None) -> Alignment:
     sigma, inlier = _imu_noise(measured - predicted, cameras)
     score = np.einsum("kai,ka->ki", jacobian, (measured - predicted) * inlier / (sigma**2 + cameras))
     return Alignment(imu_R_cam=R, camera_in_imu=p, gyro_bias=b, speed_scale=float(scales[0]),
-                     gyro_scale=float(scales[1]), covariance=_honest(np.linalg.inv(information), score, steps), steps=steps,
+                     gyro_scale=float(scales[1]), steps=steps,
+                     covariance=_honest(np.linalg.inv(information), score, steps),
                      measured=measured, predicted=predicted, seen=seen, seen_covariance=covariance,
                      imu_sigma=sigma, camera_variance=cameras)
 
@@ -182,6 +207,14 @@ def _start(measured, seen):
     B += rates.T @ turns / max(np.linalg.norm(rates) * np.linalg.norm(turns), 1e-12)
     U, _, Vt = np.linalg.svd(B)
     return U @ np.diag([1, 1, np.linalg.det(U @ Vt)]) @ Vt
+
+
+def _start_scales(measured, seen, R):
+    """Speed and gyro scale (2,) by linear regression: a gyro in degrees per second is too far away for Gauss-Newton."""
+    speeds, rates = measured[:, :3], measured[:, 3:] - measured[:, 3:].mean(axis=0)
+    moves, turns = np.matvec(R, seen[:, :3]), np.matvec(R, seen[:, 3:] - seen[:, 3:].mean(axis=0))
+    scales = [(a * b).sum() / max((b * b).sum(), 1e-12) for a, b in ((speeds, moves), (rates, turns))]
+    return np.maximum(scales, 1e-3)
 
 
 def _model(seen, R, p, b, scales):
@@ -251,20 +284,19 @@ class Timing:
     def p_value(self, offset) -> float:
         """How often the best offset would win by as much if this one (whole or a half) were right.
 
-        A right offset whose fit differs from the best one's by an energy E loses by N(-E, 2 E + 2 camera_noise); E is
-        taken as the least favourable one. Without camera noise this is the likelihood ratio test.
+        `evidence` tells why the cameras' noise counts; two offsets see two independent pieces of it.
         """
         if abs(self.peak[0] - offset) < 0.75:
             return float(2 * norm.sf(abs(self.peak[0] - offset) / self.peak[1]))
         gain = self.log_likelihood.max() - self.log_likelihood[np.abs(OFFSETS - offset) < 0.75].max()
-        V = self.camera_noise
-        z2 = 2 * (gain - V) if gain >= 2 * V else gain**2 / (2 * V)
-        return float(min(1.0, 2 * len(OFFSETS) * norm.sf(z2**0.5)))
+        z = evidence(gain, 2 * self.camera_noise) ** 0.5
+        return float(min(1.0, 2 * len(OFFSETS) * norm.sf(z)))
 
 
 def timing(drive, motions) -> Timing:
-    """Hold every offset from -4 to 4 against the cameras; the alignment is fitted anew for each.
+    """Hold the gyro at every offset from -4 to 4 against the cameras; the alignment is fitted anew for each.
 
+    The speed is left out: it changes too slowly to tell the time, and its noise would drown what the gyro says.
     Uses the raw samples, `drive.imu_sample` does not matter. Raises TooFewSteps as `align` does.
     """
     steps = _enough_steps(motions)
@@ -276,10 +308,10 @@ def timing(drive, motions) -> Timing:
         fit = _fit(steps[there], drive.twists[sample[there]], seen[there], covariance[there])
         fits.append(fit)
         for arrays, values in ((residuals, fit.measured - fit.predicted), (cameras, fit.camera_variance)):
-            arrays.append(np.full((drive.n_frames, 6), np.nan))
-            arrays[-1][sample[there]] = values
-    quietest = min(fits, key=lambda fit: np.log(fit.imu_sigma).sum())
-    noise = quietest.imu_sigma**2
+            arrays.append(np.full((drive.n_frames, 3), np.nan))
+            arrays[-1][sample[there]] = values[:, 3:]
+    quietest = min(fits, key=lambda fit: np.log(fit.imu_sigma[3:]).sum())
+    noise = quietest.imu_sigma[3:] ** 2
 
     def gain(a, b):
         """Log likelihood of offset b less that of a, over the IMU samples that both have a step for.
@@ -296,5 +328,5 @@ def timing(drive, motions) -> Timing:
         if log_likelihood.max() <= 0:
             break
         best = int(np.argmax(log_likelihood))
-    camera_noise = (quietest.camera_variance * noise / quietest.variance**2).sum()
+    camera_noise = (quietest.camera_variance[:, 3:] * noise / quietest.variance[:, 3:] ** 2).sum()
     return Timing(log_likelihood=log_likelihood - log_likelihood.max(), camera_noise=float(camera_noise))

@@ -55,7 +55,7 @@ def measure(drive) -> MeasuredNoise:
     """
     tracks = cures.end_tracks_at_copies()(drive)
     motions = visual_odometry.estimate(tracks)
-    return from_alignment(drive, imu_alignment.align(drive, motions), motions)
+    return from_alignment(tracks, imu_alignment.align(tracks, motions), motions)
 
 
 def from_alignment(drive, alignment, motions) -> MeasuredNoise:

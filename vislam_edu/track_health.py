@@ -1,4 +1,4 @@
-"""How healthy the tracks of a recording are, by looking at the pixels alone: copies, impossible disparities, lengths."""
+"""How healthy the tracks of a recording are, by the pixels alone: copies, impossible disparities, lengths."""
 
 import numpy as np
 

@@ -129,8 +129,8 @@ def estimate(drive) -> FrameMotions:
     covariance[ok] = variance * np.linalg.inv(information[ok])
     after_T_before[~ok] = np.eye(4)
     return FrameMotions(
-        motion=se3.inverse(after_T_before), covariance=covariance, ok=ok, taus=drive.taus, sigma_px=float(variance**0.5),
-        step=step, before=before, after=after, mahalanobis2=d2,
+        motion=se3.inverse(after_T_before), covariance=covariance, ok=ok, taus=drive.taus,
+        sigma_px=float(variance**0.5), step=step, before=before, after=after, mahalanobis2=d2,
     )  # fmt: skip
 
 
