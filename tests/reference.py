@@ -75,7 +75,7 @@ def run(drive, noise, threshold, min_disparity, as_report=False):
 
         seen, pixels = drive.observed(k)
 
-        def born(T, P):
+        def born(T, P, seen=seen, pixels=pixels):
             for i, z in zip(seen, pixels):
                 if i in means or z[0] - z[2] <= min_disparity:
                     continue

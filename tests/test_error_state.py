@@ -4,10 +4,9 @@ A state is an estimate and an error; the error makes the true state. Whatever th
 by F, noise enters by N, pixels change by H, a newborn inherits G) is checked by moving the true state, and only that.
 """
 
-from functools import partial
-
 import numpy as np
 import pytest
+
 from vislam_edu import motion, se3, simulate, slam
 from vislam_edu.error_state import RightInvariant, RightPerturbation
 from vislam_edu.motion import Belief
@@ -93,7 +92,7 @@ def test_twist_and_bias_transition(drive, error_state):
 
 
 @pytest.mark.parametrize("error_state", BOTH)
-@pytest.mark.parametrize("model, tail", [(motion.ImuDriven, 6), (motion.TwistAndBias, 15)])
+@pytest.mark.parametrize(("model", "tail"), [(motion.ImuDriven, 6), (motion.TwistAndBias, 15)])
 def test_carry_is_F_P_Ft_plus_N_Q_Nt(drive, error_state, model, tail):
     before = belief(drive, tail)
     transition = model(drive, Noise(), error_state).transition(before, 3)
@@ -108,7 +107,7 @@ def test_measurement_jacobians(drive, error_state):
     estimate = belief(drive)
     sensors = slam.Sensors(drive.camera, Noise(), error_state, np.inf, 0.0)
     rows = np.array([0, 2, 3])
-    predicted, in_front, H_l, H_p = slam.linearise(estimate, rows, sensors)
+    _predicted, in_front, H_l, H_p = slam.linearise(estimate, rows, sensors)
     assert in_front.all()
 
     def seen(error):
@@ -181,8 +180,7 @@ def test_twist_and_bias_finds_the_bias():
     bias, scores = np.array([0.01, -0.008, 0.006]), []
     for seed in range(8):
         drive = simulate.street_loop(seed=seed, frames=150, visible=20, gyro_bias=tuple(bias))
-        for step in slam.run(drive, Noise(), RightInvariant(), motion_model=partial(motion.TwistAndBias)):
-            pass
+        *_, step = slam.run(drive, Noise(), RightInvariant(), motion_model=motion.TwistAndBias)
         sigma = np.sqrt(np.diag(step.posterior.covariance)[-3:])
         assert (sigma < 0.006).all()  # it learned something: the prior is 0.02, one sample 0.05
         scores.append((step.posterior.motion[-3:] - bias) / sigma)

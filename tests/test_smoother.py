@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+
 from vislam_edu import simulate, slam, smoother
 from vislam_edu.error_state import RightInvariant
 from vislam_edu.noise import Noise
@@ -26,7 +27,8 @@ def dense(drive, **options):
 def test_every_landmark_is_what_the_dense_filter_says_at_the_end(drive, measure):
     full, rejected = dense(drive, measure=measure)
     final = smoother.final_map(drive, NOISE, measure=measure)
-    assert len(full.ids) >= 200 and rejected > 20
+    assert len(full.ids) >= 200
+    assert rejected > 20
     np.testing.assert_array_equal(np.flatnonzero(final.used), full.ids)
     # 1e-8 m; rtol is for outliers that the filter puts half a kilometre away, known to hundreds of metres
     np.testing.assert_allclose(final.landmarks[full.ids], full.landmarks, rtol=1e-10, atol=1e-8)
@@ -49,8 +51,7 @@ def test_right_invariant_agrees_to_first_order():
     """With little noise the turn of the whole map is nearly a sum, and the two agree far below their uncertainty."""
     quiet = Noise(sigma_v=0.02, sigma_omega=0.002, sigma_px=0.1, initial_pose_covariance=1e-8 * np.eye(6))
     drive = simulate.street_loop(seed=2, frames=60, visible=15, sigma_v=0.02, sigma_omega=0.002, sigma_px=0.1)
-    for step in slam.run(drive, quiet, RightInvariant(), retire=slam.never):
-        pass
+    *_, step = slam.run(drive, quiet, RightInvariant(), retire=slam.never)
     full = step.posterior
     final = smoother.final_map(drive, quiet, RightInvariant())
     C = np.concatenate([np.broadcast_to(np.eye(3), (len(full.ids), 3, 3)),

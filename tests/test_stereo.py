@@ -70,7 +70,8 @@ def test_observation_goes_through_imu_and_camera():
     ahead, left, above, behind = [15.0, 0, 0], [15.0, 1, 0], [15.0, 0, 1], [4.0, 0, 0]
     pixels, in_front = camera.observe(world_T_imu, [ahead, left, above, behind])
     assert_allclose(pixels[0, :2], [682.0, 238.5])
-    assert pixels[1, 0] < 682.0 and pixels[2, 1] < 238.5
+    assert pixels[1, 0] < 682.0
+    assert pixels[2, 1] < 238.5
     assert in_front.tolist() == [True, True, True, False]
 
 
@@ -137,7 +138,9 @@ def test_triangulation_inverts_projection(seed, shape):
     points = points_in_view(np.random.default_rng(seed), shape)
     pixels, in_front = CAMERA.project(points)
     back, ok = CAMERA.triangulate(pixels)
-    assert in_front.all() and ok.all() and ok.shape == shape
+    assert in_front.all()
+    assert ok.all()
+    assert ok.shape == shape
     assert_allclose(back, points, rtol=1e-9, atol=1e-9)
 
 
