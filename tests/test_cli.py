@@ -174,7 +174,7 @@ def test_real_recording_whose_truth_ends_early(path, tmp_path):
                      "--every", "20"]) == 0
     summary = json.loads((tmp_path / "summary.json").read_text())
     assert sorted(summary) == sorted(KEYS + TRUTH_KEYS + SENTENCES)
-    # DESIGN's table gives 16 m for dead reckoning with the IMU sample k+1; here it is the sample k.
+    # With the sample k+1 dead reckoning has an ATE of 16 m on this drive; here it is the sample k.
     assert 10 < summary["dead_reckoning_ate_m"] < 25
 
 

@@ -149,8 +149,8 @@ def add_correlated(belief, ids, pixels, sensors) -> Belief:
 
     Sigma_mm = G Sigma_TT G^T + A C A^T,  Sigma_m. = G Sigma_T.   (C: triangulation covariance in the IMU frame)
 
-    Source: DESIGN of this package; Solà, Simulataneous localization and mapping with the EKF, section on landmark
-    initialisation for fully observable sensors.
+    Source: Solà, Simultaneous localization and mapping with the extended Kalman filter, 2014, on landmark
+    initialisation with a sensor that sees all three coordinates.
     """
     camera = sensors.camera
     points_cam, ok = camera.triangulate(pixels, sensors.min_disparity)
