@@ -56,7 +56,7 @@ def test_noise_of_the_first_frame_is_carried_into_the_second():
     """The whitener makes residuals of unit covariance: against Monte Carlo over both frames' pixels."""
     drive = simulate.perfect_street_loop(0, frames=3, life=(2, 100), loop_length=500)
     motion = se3.inverse(truth(drive))
-    sigma, runs, samples = 0.01, 3000, []
+    sigma, runs, samples = 0.01, 1000, []
     step, before, after = visual_odometry.pairs(drive)
     whitener = visual_odometry._Problem(drive, step, before, after).whitener(motion)
     for seed in range(runs):
