@@ -6,10 +6,11 @@ Where there is no kernel (a page on the web, a notebook that has not been run) t
 """
 
 import html
+import math
 
 import ipywidgets
 
-from .pictures.canvas import Number, Switch
+from .pictures.canvas import Decades, Number, Switch
 
 SPEEDS = {"slow": 800, "normal": 350, "fast": 120}  # ms a half-step
 
@@ -142,6 +143,17 @@ def _control(control):
     if isinstance(control, Switch):
         return ipywidgets.Checkbox(
             control.value, description=control.label, indent=False, layout=ipywidgets.Layout(width="auto")
+        )
+    if isinstance(control, Decades):
+        return ipywidgets.FloatLogSlider(
+            control.value,
+            min=math.log10(control.low),
+            max=math.log10(control.high),
+            step=control.step,
+            readout_format=".2g",
+            description=control.label,
+            style={"description_width": "95px"},
+            layout=ipywidgets.Layout(width="280px"),
         )
     if isinstance(control, Number):
         slider = ipywidgets.IntSlider if isinstance(control.step, int) else ipywidgets.FloatSlider

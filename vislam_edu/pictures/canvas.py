@@ -35,6 +35,16 @@ class Number:
 
 
 @dataclass(frozen=True)
+class Decades(Number):
+    """A `Number` on a logarithmic scale; its `step` is in powers of ten, so 0.1 is a factor of 1.26."""
+
+    def __post_init__(self):
+        super().__post_init__()
+        if self.low <= 0:
+            raise ValueError(f"{self.label}: a logarithmic scale cannot begin at {self.low}")
+
+
+@dataclass(frozen=True)
 class Switch:
     """A control that is on or off: its label, and how it starts."""
 
