@@ -55,7 +55,7 @@ def audit(drive: Drive) -> Report:
         alignment = imu_alignment.align(in_time, motions)
     except imu_alignment.TooFewSteps as reason:
         facts["IMU"] = f"not judged: {reason}"
-        timing = signs = alignment = noise = None
+        timing, signs, alignment, noise = None, None, None, None
     else:
         alignment = _mirrored(in_time, motions, alignment, findings)
         for check in (_axes, _misalignment, _lever_arm, _scales, _gyro_bias):

@@ -101,7 +101,7 @@ class Report:
         lines = [f"Audit of {drive.name or 'a drive'}: {drive.n_frames} frames, {drive.duration:.1f} s, "
                  f"{drive.n_landmarks} tracks, {len(drive.landmark)} observations", ""]
         lines += [f"{name}: {_brief(value)}" for name, value in self.facts.items()]
-        if self.alignment is not None:
+        if self.alignment is not None and self.noise is not None and self.signs is not None:
             lines += ["", f"{'axis':8}{'correlation with the cameras':>30}{'noise':>12}",
                       f"{'':8}{'by the file':>15}{'at best':>15}{'per sample':>12}"]
             noise = np.concatenate([self.noise.sigma_v, self.noise.sigma_omega])
@@ -122,7 +122,7 @@ class Report:
             "history": list(self.drive.history), "facts": self.facts,
             "findings": [finding.to_dict() for finding in self.findings],
             "copy_frames": (np.flatnonzero(self.copy_steps) + 1).tolist(),
-            "alignment": alignment and {
+            "alignment": alignment and self.signs is not None and {
                 "imu_R_cam": alignment.imu_R_cam.tolist(),
                 "camera_in_imu_m": alignment.camera_in_imu.tolist(),
                 "camera_in_imu_sigma_m": alignment.sigma(imu_alignment.LEVER_ARM).tolist(),

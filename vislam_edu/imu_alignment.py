@@ -301,7 +301,9 @@ def timing(drive, motions) -> Timing:
     """
     steps = _enough_steps(motions)
     seen, covariance = motions.twists[steps], motions.twist_covariance[steps]
-    residuals, cameras, fits = [], [], []
+    residuals: list[np.ndarray] = []
+    cameras: list[np.ndarray] = []
+    fits = []
     for offset in OFFSETS:
         sample = steps - offset
         there = (sample >= 0) & (sample < drive.n_frames)

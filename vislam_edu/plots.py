@@ -125,7 +125,9 @@ def finish(figure, title):
     axes.set_position((_AXES_LEFT / WIDTH, below / total, _AXES_WIDTH / WIDTH, height / total))
     axes.set_title("\n".join(lines))
     if rows:
-        figure.legend(handles, labels, loc="lower center", ncols=columns, markerscale=3)
+        legend = figure.legend(handles, labels, loc="lower center", ncols=columns)
+        for line in legend.get_lines():  # a map's dots are too small to tell their colour, other markers are not
+            line.set_markersize(max(line.get_markersize(), 5))
     return figure
 
 
