@@ -127,7 +127,8 @@ class TuningPicture(Picture):
         truth = self.drive.true_world_T_imu
         dead = odometry.dead_reckon(self.drive, self.noise, self.world_T_imu).world_T_imu
         self.map = add_axes(self, (0.06, 0.085, 0.42, 0.8), "", "x, m", "y, m", aspect="equal", adjustable="datalim")
-        self.map.set_title(f"From above; errors and 95 % ellipses {ENLARGED} × as large", fontsize=10, loc="left", pad=22)
+        title = f"From above; errors and 95 % ellipses {ENLARGED} × as large"
+        self.map.set_title(title, fontsize=10, loc="left", pad=22)
         black = self.map.plot(*truth[:, :2, 3].T, color=COLOURS["truth"], lw=1.2, label="truth")
         yellow = self.map.plot(
             *self._enlarged(dead).T, color=COLOURS["dead_reckoning"], lw=1.4, ls=(0, (1, 1)), label="IMU alone"
@@ -198,8 +199,9 @@ class TuningPicture(Picture):
         low, high = metrics.chi2_band(6, probability=0.95)
         inside = 100 * np.mean((low <= run.nees) & (run.nees <= high))
         return (
-            f"NEES {_two_digits(run.nees.mean())} (6 is honest, {inside:.0f} % of the frames inside the band); NIS of a "
-            f"measurement {_two_digits(run.measurement_nis)} (4 is honest); {_two_digits(run.final_error)} m from the truth at the end."
+            f"NEES {_two_digits(run.nees.mean())} (6 is honest, {inside:.0f} % of the frames inside the band); "
+            f"NIS of a measurement {_two_digits(run.measurement_nis)} (4 is honest); "
+            f"{_two_digits(run.final_error)} m from the truth at the end."
         )
 
     def alt(self, **state):
@@ -210,7 +212,8 @@ class TuningPicture(Picture):
         return (
             f"The {which} filter with sigma_v {s['sigma_v']:.2g} m/s, sigma_omega {s['sigma_omega']:.2g} rad/s, "
             f"sigma_px {s['sigma_px']:.2g} px, start {s['start']:.2g} sigma, new landmarks {birth}: path on a map, "
-            f"two errors with three standard deviations, NEES (mean {_two_digits(run.nees.mean())}) and NIS through time."
+            f"two errors with three standard deviations, NEES (mean {_two_digits(run.nees.mean())}) and NIS, "
+            "through time."
         )
 
 

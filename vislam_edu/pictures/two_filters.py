@@ -65,6 +65,7 @@ class TwoFiltersPicture(StepPicture):
                 self.drive.true_world_T_imu,
             )
             panel.path.set_color(COLOURS[name])
+            panel.axes.get_legend().get_lines()[0].set_color(COLOURS[name])
             self.position[name] = self.moves(
                 panel.axes.add_collection(
                     PolyCollection([], facecolor=COLOURS[name], alpha=0.45, edgecolor="none"), autolim=False
