@@ -10,7 +10,7 @@ from ..error_state import RightInvariant, RightPerturbation
 from ..noise import Noise
 from ..pipeline import right_pose_covariance
 from ..style import COLOURS, ellipse_points
-from .canvas import Decades, Picture, Switch
+from .canvas import Decades, Number, Picture, Switch
 from .joint import frame_nis
 from .panels import add_axes, legend, nis_band
 
@@ -18,7 +18,7 @@ LEFT, YAW = 1, 5  # of the pose error: across the road, where an error of the he
 ELLIPSES = 6
 ENLARGED = 10  # times, the errors on the map: tenths of a metre cannot be seen beside a street
 _TRUE = Noise()
-CONTROLS = {
+CONTROLS: dict[str, Number | Switch] = {
     "sigma_v": Decades("σ v, m/s", _TRUE.sigma_v, 0.005, 50.0, 0.1),
     "sigma_omega": Decades("σ ω, rad/s", _TRUE.sigma_omega, 0.0005, 5.0, 0.1),
     "sigma_px": Decades("σ px, px", _TRUE.sigma_px, 0.07, 7.0, 0.1),
