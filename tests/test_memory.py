@@ -1,0 +1,56 @@
+"""Every landmark, in memory that does not know how many there are: the smaller brother of benchmarks/window.py."""
+
+import tracemalloc
+from collections import deque
+
+import numpy as np
+import pytest
+
+from vislam_edu import simulate, slam, smoother
+from vislam_edu.noise import Noise
+
+NOISE = Noise()
+
+
+@pytest.fixture(scope="module")
+def drive():
+    """400 frames with short tracks, so that the map is large and the window small."""
+    return simulate.street_loop(seed=6, frames=400, visible=12, mean_life=10, life=(3, 30), redetect_every=2)
+
+
+def peak(function):
+    """Bytes that the call held at its worst, above what was there before."""
+    tracemalloc.start()
+    try:
+        function()
+        return tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+
+
+def forward(drive):
+    deque(slam.run(drive, NOISE), maxlen=1)
+
+
+def covariance_of_all(drive):
+    """Bytes of the dense filter's covariance."""
+    return 8 * (3 * drive.n_landmarks + 6) ** 2
+
+
+def test_forward_memory_is_that_of_the_window_however_long_the_drive(drive):
+    window = 8 * (3 * drive.visible.max() + 6) ** 2
+    quarter, whole = peak(lambda: forward(drive.slice(0, 100))), peak(lambda: forward(drive))
+    per_frame = 8 * 300  # bytes: the motion model works out all increments (4, 4) and Jacobians (6, 6) at once
+    assert whole < 20 * window + per_frame * drive.n_frames
+    assert whole - quarter < per_frame * (drive.n_frames - 100)
+
+
+def test_backward_memory_is_far_below_one_covariance_of_all(drive):
+    assert drive.n_landmarks > 500
+    assert peak(lambda: smoother.final_map(drive, NOISE)) < covariance_of_all(drive) / 4
+
+
+def test_backward_memory_grows_like_the_root_of_the_drive(drive):
+    quarter, whole = (peak(lambda d=d: smoother.final_map(d, NOISE)) for d in (drive.slice(0, 100), drive))
+    steps = np.sqrt(4)  # checkpoints and one piece between two of them
+    assert whole < 1.5 * steps * quarter
