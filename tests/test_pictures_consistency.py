@@ -7,6 +7,7 @@ import ipywidgets
 import numpy as np
 import pytest
 from matplotlib.path import Path
+from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from vislam_edu import consistency, metrics, simulate, slam
@@ -139,6 +140,7 @@ def test_the_panels_hold_error_and_three_sigma_of_the_setting(tuned):
     np.testing.assert_array_equal(heading.get_ydata(), np.degrees(run.error[:, 5]))
     for edges, sigma in ((left_edges, run.sigma[:, 1]), (heading_edges, np.degrees(run.sigma[:, 5]))):
         np.testing.assert_allclose([edge.get_ydata() for edge in edges], [3 * sigma, -3 * sigma])
+        assert [edge.get_linestyle() for edge in edges] == ["--", "--"]
     np.testing.assert_array_equal(tuned.nees[0].get_ydata(), run.nees)
     for line in (left, heading, *left_edges, *heading_edges):
         assert np.abs(line.get_ydata()).max() <= line.axes.get_ylim()[1]
@@ -213,6 +215,14 @@ def test_landmark_ellipses_are_those_of_positions_in_the_world(two, pair):
         distance2 = np.sum((path.vertices - belief.landmarks[j, :2])
                            * np.linalg.solve(covariance, (path.vertices - belief.landmarks[j, :2]).T).T, axis=1)
         np.testing.assert_allclose(distance2, RADIUS2, rtol=1e-6)
+
+
+def test_heading_error_is_the_turn_about_the_worlds_vertical(two, pair, drive):
+    for name, steps in zip(("slam", "invariant"), pair):
+        for i in (30, 41):
+            belief = steps[i // 2].posterior if i % 2 else steps[i // 2].prior
+            turn = drive.true_world_T_imu[i // 2, :3, :3] @ belief.world_T_imu[:3, :3].T
+            assert two.error[name][i] == pytest.approx(Rotation.from_matrix(turn).as_rotvec()[2], rel=1e-9)
 
 
 def test_heading_claims_part_and_errors_do_not(two):

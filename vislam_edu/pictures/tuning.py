@@ -112,14 +112,16 @@ class TuningPicture(Picture):
             self._build_error((0.55, 0.79, 0.43, 0.16), "Position error to the left, m", times),
             self._build_error((0.55, 0.555, 0.43, 0.16), "Heading error, degrees", times),
         ]
-        frames = np.bincount(np.repeat(np.arange(len(times)), self.drive.visible), minlength=len(times))
+        drive = self.drive
+        again = drive.frame[drive.first_seen[drive.landmark] < drive.frame]  # a first view is no prediction's test
+        numbers = 3 * np.maximum(np.bincount(again, minlength=len(times)), 1)
         band6 = np.tile(np.array(metrics.chi2_band(6, probability=0.95))[:, None], len(times))
         self.nees = self._build_test(
             (0.55, 0.32, 0.43, 0.16), "NEES of the pose, honest: 6", times, band6, 6, (0.1, 1e5)
         )
         self.nis = self._build_test(
             (0.55, 0.085, 0.43, 0.16), "NIS of a frame / its degrees of freedom, honest: 1", times,
-            nis_band(3 * np.maximum(frames, 1)), 1, (0.01, 300)
+            nis_band(numbers), 1, (0.01, 300)
         )
         self.nis[0].axes.set_xlabel("time, s", fontsize=9)
 
