@@ -1,0 +1,166 @@
+"""The whole package on recordings that it was not made from, and on simulated ones made bad: accuracy and honesty.
+
+Tests on the course's recordings skip where `../shared/data` is not there. The outlier tests need nothing.
+"""
+
+import json
+
+import numpy as np
+import pytest
+from evo.core.trajectory import PosePath3D
+from evo.tools import file_interface
+
+from vislam_edu import __main__ as command_line
+from vislam_edu import consensus, faults, kalman, motion, pipeline, recordings, simulate, slam
+from vislam_edu.error_state import RightInvariant, RightPerturbation
+from vislam_edu.noise import Noise
+
+SEEDS = range(4)
+FRAMES = 250
+MODELS = {"twist and bias": motion.TwistAndBias, "IMU drives": motion.ImuDriven}
+
+
+def recording(name):
+    path = recordings.find(name)
+    if path is None:
+        pytest.skip(f"{name} belongs to the course and is not on this machine")
+    return path
+
+
+# --- real recordings, from the shell, nothing set by hand -------------------------------------------------
+
+
+def run(folder, *arguments):
+    """The command line's `run --audit` with its defaults. Returns its folder and the numbers of its summary."""
+    assert command_line.main(["run", *map(str, arguments), "--audit", "--quiet", "--out", str(folder)]) == 0
+    return folder, json.loads((folder / "summary.json").read_text())
+
+
+@pytest.fixture(scope="module")
+def run_0027(tmp_path_factory):
+    arguments = recording("0027.npz"), "--ground-truth", recording("0027_ground_truth.txt")
+    return run(tmp_path_factory.mktemp("0027") / "out", *arguments)
+
+
+@pytest.fixture(scope="module")
+def run_03(tmp_path_factory):
+    return run(tmp_path_factory.mktemp("03") / "out", recording("03.npz"))
+
+
+def test_0027_against_ground_truth(run_0027):
+    _, numbers = run_0027
+    assert numbers["drift_percent"] <= 2.0
+    assert numbers["ate_m"] <= 4.0
+    assert numbers["warnings"] == []
+
+
+def test_03_agrees_with_itself_once_cured(run_03):
+    _, numbers = run_03
+    assert numbers["rejected_share"] < 0.05
+    assert numbers["warnings"] == []
+    assert numbers["landmarks_used"] > 0.9 * numbers["landmarks"]
+
+
+@pytest.mark.parametrize("name", ["03.npz", "0027.npz"])
+def test_a_recording_as_it_is_raises_a_warning(name):
+    drive = recordings.load(recording(name)).slice(0, 300)
+    assert pipeline.run(drive, Noise(sigma_px=pipeline.TRACK_SIGMA_PX), RightInvariant()).warnings
+
+
+@pytest.mark.parametrize("run", ["run_0027", "run_03"])
+def test_evo_reads_the_trajectories_and_both_formats_say_the_same(run, request):
+    folder, numbers = request.getfixturevalue(run)
+    kitti = file_interface.read_kitti_poses_file(folder / "kitti" / "trajectory.txt")
+    tum = file_interface.read_tum_trajectory_file(folder / "tum" / "trajectory.txt")
+    assert kitti.check()[0]
+    assert tum.check()[0]
+    assert kitti.num_poses == tum.num_poses == numbers["frames"]
+    np.testing.assert_allclose(kitti.positions_xyz, tum.positions_xyz, atol=1e-6)
+    np.testing.assert_allclose(kitti.poses_se3, tum.poses_se3, atol=1e-6)
+
+
+def test_evo_measures_the_same_error(run_0027):
+    from evo.core import metrics as evo_metrics
+
+    folder, numbers = run_0027
+    truth = file_interface.read_kitti_poses_file(recording("0027_ground_truth.txt"))
+    estimate = file_interface.read_kitti_poses_file(folder / "kitti" / "trajectory.txt")
+    estimate = PosePath3D(poses_se3=estimate.poses_se3[:truth.num_poses])
+    estimate.align(truth)
+    error = evo_metrics.APE(evo_metrics.PoseRelation.translation_part)
+    error.process_data((truth, estimate))
+    assert error.get_statistic(evo_metrics.StatisticsType.rmse) == pytest.approx(numbers["ate_m"], rel=1e-6)
+
+
+# --- outlier tracks, planted --------------------------------------------------------------------------------
+
+
+def steps_of(drive, model, measure, error_state=RightInvariant):
+    return slam.run(drive, Noise(), error_state(), motion_model=MODELS[model], measure=measure)
+
+
+def rmse(drive, model, measure=consensus.measure):
+    """Position RMSE, m; every covariance of every frame must be positive definite."""
+    squares = []
+    for step in steps_of(drive, model, measure):
+        np.linalg.cholesky(step.posterior.covariance)  # raises LinAlgError when it is not
+        squares.append(np.sum((step.posterior.world_T_imu - drive.true_world_T_imu[step.k])[:3, 3] ** 2))
+    return np.sqrt(np.mean(squares))
+
+
+def with_outliers(seed, share):
+    """A drive, and the same with a share of its tracks wrong for life."""
+    drive = simulate.street_loop(seed=seed, frames=FRAMES)
+    return drive, faults.outlier_tracks(drive, share, seed=seed)
+
+
+@pytest.mark.parametrize("model", MODELS)
+@pytest.mark.parametrize("seed", SEEDS)
+def test_ten_per_cent_outlier_tracks_at_most_double_the_error(seed, model):
+    clean, bad = (rmse(drive, model) for drive in with_outliers(seed, 0.1))
+    assert bad <= 2 * clean
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_agreement_costs_nothing_on_a_clean_drive(model):
+    clean = [with_outliers(seed, 0)[0] for seed in SEEDS]
+    with_agreement = np.mean([rmse(drive, model) for drive in clean])
+    assert with_agreement < 1.1 * np.mean([rmse(drive, model, slam.correlated) for drive in clean])
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_a_gate_for_each_landmark_alone_is_not_enough(model):
+    """So the doubling above is a bound that a filter can break."""
+    errors = np.array([[rmse(drive, model, slam.correlated) for drive in with_outliers(seed, 0.1)] for seed in SEEDS])
+    assert (errors[:, 1] > 2 * errors[:, 0]).all()
+
+
+@pytest.mark.parametrize("error_state", [RightInvariant, RightPerturbation])
+@pytest.mark.parametrize("measure", [slam.correlated, consensus.measure])
+@pytest.mark.parametrize("model", MODELS)
+@pytest.mark.parametrize("seed", SEEDS)
+def test_thirty_per_cent_outlier_tracks_are_said_aloud(seed, model, measure, error_state):
+    for drive, warned in zip(with_outliers(seed, 0.3), (False, True)):
+        steps = steps_of(drive, model, measure, error_state)
+        joint = pipeline.collect_slam(drive, steps, error_state())
+        result = pipeline.Result(drive, Noise(), None, None, None, joint)
+        assert bool(result.warnings) == warned
+        np.linalg.cholesky(joint.trajectory.covariance)
+
+
+def test_what_agrees_is_judged_by_what_the_others_say():
+    """One landmark displaced by less than its own gate allows is left out, and the update is that of the rest alone."""
+    drive = simulate.street_loop(seed=0, frames=60)
+    step = list(slam.run(drive, Noise(), RightInvariant()))[-1]
+    sensors = slam.Sensors(drive.camera, Noise(), RightInvariant(), kalman.gate_threshold(0.99), 1.0)
+    ids, pixels = step.innovation.ids[step.innovation.accepted], step.innovation.measured[step.innovation.accepted]
+    i = len(ids) // 2
+    wrong = pixels.copy()
+    wrong[i] += [4.0, 4.0, 4.0, 4.0]
+    alone = slam.update(step.prior, ids, wrong, sensors)[1]
+    assert alone.accepted[i]
+    posterior, innovation = consensus.update(step.prior, ids, wrong, sensors)
+    assert not innovation.accepted[i]
+    rest, _ = slam.update(step.prior, ids[innovation.accepted], wrong[innovation.accepted], sensors)
+    np.testing.assert_allclose(posterior.world_T_imu, rest.world_T_imu, atol=1e-12)
+    np.testing.assert_allclose(posterior.covariance, rest.covariance, atol=1e-12)

@@ -1,0 +1,60 @@
+"""The measurements of one frame against each other: a second gate, after the update.
+
+    slam.run(drive, noise, RightInvariant(), measure=consensus.measure)
+
+The gate of `slam.update` asks each landmark alone, and the prior forgives much: an IMU of 0.05 rad/s leaves the next
+pixel open by several px, and a wrong track fits in. All wrong tracks would have to be wrong in the same way to fit in
+*together*. So the frame is updated with all that pass, each measurement is held against what the others then say,
+those that contradict are left out, and the update begins again from the prior.
+
+Source: the idea of Civera et al., 1-point RANSAC for extended Kalman filtering, Journal of Field Robotics 2010, with the
+concentration steps of Rousseeuw and Van Driessen, Computing LTS regression, DMKD 2006, in place of random samples.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from . import slam
+
+ROUNDS = 3  # the choice settles in one or two
+
+
+def measure(prior, ids, pixels, sensors):
+    """What a frame does, see `slam.run`: as `slam.correlated`, and the measurements must agree with each other.
+
+    Returns (prior, posterior, Innovation); its `accepted` are those that the posterior rests on.
+    """
+    known = slam.contains(prior.ids, ids)
+    posterior, innovation = update(prior, ids[known], pixels[known], sensors)
+    if not known.all():
+        posterior = slam.add_correlated(posterior, ids[~known], pixels[~known], sensors)
+    return prior, posterior, innovation
+
+
+def update(prior, ids, pixels, sensors):
+    """`slam.update` with those measurements that agree with the posterior they lead to.
+
+    ids : (m,). pixels : (m, 4). Returns (posterior, Innovation).
+    """
+    posterior, innovation = slam.update(prior, ids, pixels, sensors)
+    kept = innovation.accepted
+    for _ in range(ROUNDS):
+        agreeing = innovation.accepted & (after_fit(posterior, ids, pixels, kept, sensors) <= sensors.threshold)
+        if not agreeing.any() or np.array_equal(agreeing, kept):
+            break
+        kept = agreeing
+        posterior, _ = slam.update(prior, ids[kept], pixels[kept], sensors)
+    return posterior, replace(innovation, accepted=kept)
+
+
+def after_fit(posterior, ids, pixels, used, sensors):
+    """(m,) squared residuals over their variance, 4 degrees of freedom, of measurements against a posterior.
+
+    used : (m,) bool, which of them it rests on: those scatter by no more than V around it. The others scatter by V and
+    by what the posterior leaves open, S = H P H^T + V.
+    """
+    predicted, in_front, _, _ = slam.linearise(posterior, np.searchsorted(posterior.ids, ids), sensors)
+    distance = np.sum((pixels - predicted) ** 2, axis=-1) / sensors.noise.sigma_px**2
+    distance[~used] = slam.update(posterior, ids[~used], pixels[~used], sensors)[1].nis
+    return np.where(in_front, distance, np.inf)
