@@ -16,8 +16,9 @@ class Noise:
     sigma_v : m/s, white noise on each axis of one linear-velocity sample.
     sigma_omega : rad/s, the same for the gyro.
     sigma_px : px, white noise on each of the four numbers of a stereo measurement.
-    initial_pose_covariance : (6, 6), order [position m, rotation rad] in the body frame; the default is the
-        report's Sigma_RR.
+    initial_pose_covariance : (6, 6), order [position m, rotation rad], of the filter's own pose error at the start:
+        in the body frame for a right perturbation, in the world frame for the right-invariant error. At the identity,
+        where filters start unless told otherwise, the two are one. The default is the report's Sigma_RR.
     landmark_prior : m^2, the variance per axis that the report gives a new landmark (Sigma_LL = 2 I).
         Only the `as_report` initialisations use it.
 
