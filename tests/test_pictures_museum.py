@@ -1,0 +1,122 @@
+"""What the museum's pictures show, read back from their artists."""
+
+import itertools
+
+import numpy as np
+import pytest
+from matplotlib.colors import to_hex
+
+from vislam_edu import consistency, simulate
+from vislam_edu.error_state import RightPerturbation
+from vislam_edu.museum_drives import PIECES, visit
+from vislam_edu.noise import Noise
+from vislam_edu.pictures.museum_tour import LIMITS, MuseumPicture, gallery, view
+from vislam_edu.style import COLOURS
+from vislam_edu.widgets import Panel
+
+
+@pytest.fixture(scope="module")
+def drive():
+    return simulate.street_loop(seed=1, frames=20, visible=6, loop_length=250)
+
+
+@pytest.fixture(scope="module")
+def visits(drive):
+    start = consistency.initial_pose(drive, consistency.Filter(Noise(), RightPerturbation()), 1)
+    return [visit(PIECES[name], drive, Noise(), start) for name in ("right", "sign", "bearings", "birth")]
+
+
+@pytest.fixture(scope="module")
+def picture(visits, drive):
+    return MuseumPicture(visits, drive)
+
+
+def test_a_piece_shows_its_own_path_and_numbers(picture, visits, drive):
+    times = drive.times - drive.times[0]
+    for piece in (1, 2, 3):
+        picture.draw(piece)
+        np.testing.assert_array_equal(picture.path.get_xydata(), visits[piece].world_T_imu[:, :2, 3])
+        for kind, line in picture.lines.items():
+            values = getattr(visits[piece], kind)
+            x, y = line.get_data()
+            np.testing.assert_array_equal(x, times[:len(values)])
+            low, high = LIMITS[kind]
+            assert line.axes.get_ylim() == (low, high)
+            inside = (values > low) & (values < high)
+            np.testing.assert_array_equal(np.asarray(y)[inside], values[inside])
+            assert (np.isnan(y) | ((y >= low) & (y <= high))).all()  # the line does not leave its axes unseen
+        assert visits[piece].title in picture.title.get_text()
+
+
+def test_right_filter_and_truth_stand_still(picture, visits, drive):
+    truth, right = picture.map.get_lines()[:2]
+    assert truth.get_color() == COLOURS["truth"]
+    np.testing.assert_array_equal(truth.get_xydata(), drive.true_world_T_imu[:, :2, 3])
+    np.testing.assert_array_equal(right.get_xydata(), visits[0].world_T_imu[:, :2, 3])
+    assert picture.map.get_aspect() == 1.0
+
+
+def test_the_slider_offers_every_mistake_and_says_its_numbers(picture, visits):
+    panel = Panel(picture)
+    slider = panel.controls["piece"]
+    assert (slider.min, slider.max) == (1, len(visits) - 1)
+    pictures = set()
+    for piece in range(slider.min, slider.max + 1):
+        slider.value = piece
+        pictures.add(panel.image.value)
+        caption = picture.caption(piece)
+        assert visits[piece].title in caption
+        assert all(number in caption for number in (*visits[piece].numbers, *visits[0].numbers))
+        assert caption in picture.alt(piece)
+        assert ("could not go on" in caption) == (visits[piece].stopped is not None)
+    assert len(pictures) == len(visits) - 1
+
+
+def test_picture_depends_on_the_piece_only(picture):
+    first = picture.png(piece=1)
+    assert picture.png(piece=3) != first
+    assert picture.png(piece=1) == first
+
+
+def test_lettering_is_large_enough_inside_and_apart(picture):
+    for piece in (1, 2, 3):
+        picture.png(piece=piece)
+        texts = [picture.title, picture.words]
+        for axes in picture.figure.axes:
+            texts += [axes._left_title, axes.xaxis.label, axes.yaxis.label]
+            texts += axes.get_legend().get_texts() if axes.get_legend() else []
+        texts = [text for text in texts if text.get_text()]
+        boxes = [text.get_window_extent(picture.canvas.get_renderer()) for text in texts]
+        assert min(text.get_fontsize() for text in texts) >= 8
+        for box in boxes:
+            assert picture.figure.bbox.containsx(box.x0), box
+            assert picture.figure.bbox.containsx(box.x1), box
+            assert picture.figure.bbox.containsy(box.y1), box
+        assert not any(a.overlaps(b) for a, b in itertools.combinations(boxes, 2))
+
+
+def test_one_visit_is_no_museum(visits, drive):
+    with pytest.raises(ValueError, match="at least one mistake"):
+        MuseumPicture(visits[:1], drive)
+
+
+def test_gallery_has_a_map_for_each_and_counts_who_is_lost(visits, drive):
+    figure = gallery(visits, drive, columns=3)
+    shown = [axes for axes in figure.axes if axes.get_visible()]
+    assert len(shown) == len(visits)
+    for axes, seen in zip(shown, visits):
+        truth, path = axes.get_lines()
+        np.testing.assert_array_equal(truth.get_xydata(), drive.true_world_T_imu[:, :2, 3])
+        np.testing.assert_array_equal(path.get_xydata(), seen.world_T_imu[:, :2, 3])
+        assert to_hex(path.get_color()).upper() == COLOURS["rejected" if seen.lost else "predicted"].upper()
+        assert (*axes.get_xlim(), *axes.get_ylim()) == pytest.approx(view(drive))
+    assert any(seen.lost for seen in visits)
+    assert f"{sum(seen.lost for seen in visits)} of {len(visits)}" in figure.get_suptitle()
+
+
+def test_view_is_a_square_around_the_true_path(drive):
+    x0, x1, y0, y1 = view(drive)
+    x, y = drive.true_world_T_imu[:, :2, 3].T
+    assert x1 - x0 == pytest.approx(y1 - y0)
+    assert x0 < x.min() < x.max() < x1
+    assert y0 < y.min() < y.max() < y1
