@@ -20,7 +20,7 @@ from pathlib import Path
 
 import numpy as np
 
-from vislam_edu import cures, files, metrics, odometry, pipeline, recordings, slam
+from vislam_edu import consensus, cures, files, metrics, odometry, pipeline, recordings, slam
 from vislam_edu.audit import audit
 from vislam_edu.error_state import RightInvariant, RightPerturbation
 from vislam_edu.motion import ImuDriven, TwistAndBias
@@ -49,7 +49,7 @@ def filtered(drive, noise, error_state=None, **options) -> dict:
         measurements += len(step.innovation.ids)
         rejected += np.count_nonzero(~step.innovation.accepted)
     seconds = time.process_time() - begin
-    return {**accuracy(drive, poses), "rejected_share": rejected / measurements, "cpu_s": seconds}
+    return {**accuracy(drive, poses), "rejected_share": float(rejected / measurements), "cpu_s": seconds}
 
 
 def read_right(report):
@@ -62,7 +62,7 @@ def read_right(report):
 
 
 def treatments(report):
-    """Yield (name, numbers), each treatment being the one before it and one thing more."""
+    """Yield (name, numbers): to the last cure each treatment is the one before it and one thing more."""
     raw, noise = report.drive, pipeline.noise_of_real_drive(report.noise)
     yield "dead reckoning", accuracy(raw, odometry.dead_reckon(raw, noise).world_T_imu)
     yield "the report's filter and values", filtered(
@@ -76,6 +76,10 @@ def treatments(report):
     yield "every cure the audit names", filtered(report.cured(), noise, motion_model=TwistAndBias)
     yield "the same, right perturbation", filtered(report.cured(), noise, RightPerturbation(),
                                                    motion_model=TwistAndBias)
+    yield "every cure, and the second gate", filtered(report.cured(), noise, motion_model=TwistAndBias,
+                                                      measure=consensus.measure)
+    yield "tracks as they are, and the second gate", filtered(tracks_as_they_are, noise, motion_model=TwistAndBias,
+                                                              measure=consensus.measure)
 
 
 SETTINGS = {
@@ -127,7 +131,8 @@ def study(drive) -> dict:
     """All numbers of one recording; prints them as they come."""
     report = audit(drive)
     cured, noise = report.cured(), pipeline.noise_of_real_drive(report.noise)
-    frame_to_frame = report.noise.sigma_px_flow
+    as_they_are, frame_to_frame = read_right(report), report.noise.sigma_px_flow
+    ended = as_they_are.apply(cures.end_tracks_at_copies())
     print(f"{drive.name}: {', '.join(finding.fault for finding in report.findings)}")
     rows = []
     for name, numbers in treatments(report):
@@ -140,8 +145,12 @@ def study(drive) -> dict:
         "treatments": rows,
         "rejected_by_age": {"frame to frame": rejected_by_age(cured, replace(noise, sigma_px=frame_to_frame)),
                             "track life": rejected_by_age(cured, noise)},
-        "sensitivity": {"as they are": sensitivity(read_right(report), noise, ImuDriven),
-                        "cured": sensitivity(cured, noise, TwistAndBias)},
+        "sensitivity": {
+            "IMU drives, tracks as they are": sensitivity(as_they_are, noise, ImuDriven),
+            "IMU drives, tracks ended at copies": sensitivity(ended, noise, ImuDriven),
+            "twist and bias, tracks as they are": sensitivity(as_they_are, noise, TwistAndBias),
+            "twist and bias, every cure": sensitivity(cured, noise, TwistAndBias),
+        },
     }
 
 

@@ -7,8 +7,9 @@ pixel open by several px, and a wrong track fits in. All wrong tracks would have
 *together*. So the frame is updated with all that pass, each measurement is held against what the others then say,
 those that contradict are left out, and the update begins again from the prior.
 
-Source: the idea of Civera et al., 1-point RANSAC for extended Kalman filtering, Journal of Field Robotics 2010, with the
-concentration steps of Rousseeuw and Van Driessen, Computing LTS regression, DMKD 2006, in place of random samples.
+Source: the idea of Civera et al., 1-point RANSAC for extended Kalman filtering, Journal of Field Robotics 2010, with
+the concentration steps of Rousseeuw and Van Driessen, Computing LTS regression, DMKD 2006, in place of random
+samples.
 """
 
 from dataclasses import replace
