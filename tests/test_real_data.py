@@ -3,7 +3,10 @@
 Tests on the course's recordings skip where `../shared/data` is not there. The outlier tests need nothing.
 """
 
+import importlib
 import json
+import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,8 +15,11 @@ from evo.tools import file_interface
 
 from vislam_edu import __main__ as command_line
 from vislam_edu import consensus, faults, kalman, motion, pipeline, recordings, simulate, slam
+from vislam_edu.audit import audit
 from vislam_edu.error_state import RightInvariant, RightPerturbation
 from vislam_edu.noise import Noise
+from vislam_edu.pictures.cures_panel import CuresPicture, ground
+from vislam_edu.widgets import Panel
 
 SEEDS = range(4)
 FRAMES = 250
@@ -164,3 +170,68 @@ def test_what_agrees_is_judged_by_what_the_others_say():
     rest, _ = slam.update(step.prior, ids[innovation.accepted], wrong[innovation.accepted], sensors)
     np.testing.assert_allclose(posterior.world_T_imu, rest.world_T_imu, atol=1e-12)
     np.testing.assert_allclose(posterior.covariance, rest.covariance, atol=1e-12)
+
+
+# --- chapter 8: its panel, its stored study, its outside reference ------------------------------------------
+
+BENCHMARKS = Path(__file__).resolve().parents[1] / "benchmarks"
+
+
+@pytest.fixture(scope="module")
+def picture():
+    drive = faults.flip_imu_axes(faults.copy_frames(simulate.street_loop(seed=5, frames=160)))
+    report = audit(drive)
+    return CuresPicture(report, pipeline.noise_of_real_drive(report.noise))
+
+
+def test_the_panel_applies_the_cures_that_are_switched_on(picture):
+    assert set(picture.faults) == {"copy frames", "IMU axes"}
+    nothing, axes, everything = (picture.outcome(faults) for faults in ([], ["IMU axes"], picture.faults))
+    assert nothing.lost
+    assert everything.ate_m < 0.5 * axes.ate_m < 0.5 * nothing.ate_m
+    assert everything.rejected_share < 0.02 < axes.rejected_share
+    panel = Panel(picture)
+    for control in panel.controls.values():
+        control.value = True
+    drawn = np.column_stack(picture.line.get_data())
+    np.testing.assert_array_equal(drawn, ground(everything.path))
+    assert "copy frames, IMU axes" in panel.text.value
+    with pytest.raises(ValueError, match="no cure for luck"):
+        picture.outcome(["luck"])
+
+
+def test_the_panel_does_without_ground_truth(picture):
+    drive = picture.report.drive.replace(truth_world_T_cam=None, truth_landmarks=None)
+    without = CuresPicture(audit(drive), picture.noise)
+    assert without.outcome(without.faults).error.max() == 0
+    np.testing.assert_allclose(without.reference, picture.outcome(picture.faults).path, atol=1e-9)
+
+
+def test_the_stored_study_keeps_what_chapter_8_says_of_it():
+    study = json.loads((BENCHMARKS / "results" / "real_drives.json").read_text())["0027"]
+    rows = {row["name"]: row for row in study["treatments"]}
+    assert rows["every cure the audit names"]["drift_percent"] <= 2.0
+    assert rows["every cure the audit names"]["ate_m"] <= 4.0
+    assert study["gtsam"]["gtsam"]["cpu_s"] >= 4 * study["gtsam"]["ours"]["cpu_s"]
+    spread = {
+        arm: np.ptp([row["drift_percent"] for rows in settings.values() for row in rows])
+        for arm, settings in study["sensitivity"].items()
+    }
+    assert spread["IMU drives, tracks as they are"] > 4 * spread["IMU drives, tracks ended at copies"]
+
+
+def test_the_stored_study_is_what_the_package_gives(run_0027):
+    """0027.npz through the command line and through the benchmark: the same filter, the same numbers."""
+    study = json.loads((BENCHMARKS / "results" / "real_drives.json").read_text())["0027"]
+    [row] = [row for row in study["treatments"] if row["name"] == "every cure the audit names"]
+    assert run_0027[1]["drift_percent"] == pytest.approx(row["drift_percent"], rel=0.05)
+
+
+def test_without_gtsam_the_reference_says_what_to_install(monkeypatch):
+    monkeypatch.syspath_prepend(BENCHMARKS)
+    monkeypatch.setitem(sys.modules, "gtsam", None)
+    monkeypatch.delitem(sys.modules, "gtsam_reference", raising=False)
+    monkeypatch.setattr(sys, "argv", ["gtsam_reference.py"])
+    reference = importlib.import_module("gtsam_reference")
+    with pytest.raises(SystemExit, match=r'pip install "vislam_edu\[gtsam\]"'):
+        reference.main()
