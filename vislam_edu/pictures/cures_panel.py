@@ -35,7 +35,8 @@ class Outcome:
         return bool(self.drift_percent > LOST)
 
     def __str__(self):
-        accuracy = "lost" if self.lost else f"drift {round(self.drift_percent, 3):.2g} %, ATE {round(self.ate_m, 3):.2g} m"
+        drift, ate = round(self.drift_percent, 3), round(self.ate_m, 3)
+        accuracy = "lost" if self.lost else f"drift {drift:.2g} %, ATE {ate:.2g} m"
         return f"{accuracy}; the gate keeps out {100 * self.rejected_share:.0f} %"
 
 
