@@ -83,7 +83,8 @@ def add_run(parser):
     add_recording(parser)
     parser.add_argument("--audit", action="store_true",
                         help="audit the recording first, apply the cures found (each is named), and run the filter for "
-                             "real drives: right-invariant, twist and gyro bias estimated, the IMU's noise as measured")
+                             "real drives: right-invariant, twist and gyro bias estimated, the IMU's noise as measured, "
+                             "measurements that must agree with each other")
     parser.add_argument("--causal", action="store_true",
                         help="with --audit: leave out the cures that need the whole drive")
     parser.add_argument("--out", type=Path, required=True, metavar="DIR",
@@ -148,7 +149,7 @@ def run(arguments):
     from numpy.linalg import LinAlgError
     from tqdm import tqdm
 
-    from . import outputs, pipeline, slam
+    from . import consensus, outputs, pipeline, slam
     from .error_state import RightInvariant, RightPerturbation
 
     if arguments.causal and not arguments.audit:
@@ -156,12 +157,14 @@ def run(arguments):
     drive, noise, motion_model = prepare(arguments)
     invariant = (arguments.error_state or ("invariant" if arguments.audit else "right")) == "invariant"
     method = "invariant" if invariant else "report" if arguments.report_noise else "slam"
+    measure = consensus.measure if arguments.audit else slam.correlated
+    if arguments.initialisation == "as-report":
+        measure = slam.as_report
     with outputs.appearing_in(arguments.out) as folder:
         try:
             result = pipeline.run(
                 drive, noise, RightInvariant() if invariant else RightPerturbation(), motion_model=motion_model,
-                method=method, measure=slam.correlated if arguments.initialisation == "correlated" else slam.as_report,
-                gate=arguments.gate, min_disparity=arguments.min_disparity,
+                method=method, measure=measure, gate=arguments.gate, min_disparity=arguments.min_disparity,
                 progress=partial(tqdm, unit="frame", disable=arguments.quiet),
             )
         except LinAlgError as error:

@@ -67,6 +67,7 @@ def lab(tmp_path_factory):
     """Address of a JupyterLab with its own settings that serves copies of the notebooks without outputs."""
     home = tmp_path_factory.mktemp("lab")
     copy_notebooks(home / "notebooks")
+    shutil.copytree(ROOT / "benchmarks" / "results", home / "benchmarks" / "results")  # stored studies they read
     for plugin, values in SETTINGS.items():
         file = home / "settings" / "@jupyterlab" / f"{plugin}.jupyterlab-settings"
         file.parent.mkdir(parents=True, exist_ok=True)
