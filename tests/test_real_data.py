@@ -6,6 +6,7 @@ Tests on the course's recordings skip where `../shared/data` is not there. The o
 import importlib
 import json
 import sys
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -105,8 +106,10 @@ def steps_of(drive, model, measure, error_state=RightInvariant):
     return slam.run(drive, Noise(), error_state(), motion_model=MODELS[model], measure=measure)
 
 
-def rmse(drive, model, measure=consensus.measure):
-    """Position RMSE, m; every covariance of every frame must be positive definite."""
+@cache
+def rmse(seed, share, model, measure=consensus.measure):
+    """Position RMSE, m, with a share of the tracks wrong; every covariance of every frame must be positive definite."""
+    drive = with_outliers(seed, share)[1]
     squares = []
     for step in steps_of(drive, model, measure):
         np.linalg.cholesky(step.posterior.covariance)  # raises LinAlgError when it is not
@@ -123,28 +126,26 @@ def with_outliers(seed, share):
 @pytest.mark.parametrize("model", MODELS)
 @pytest.mark.parametrize("seed", SEEDS)
 def test_ten_per_cent_outlier_tracks_at_most_double_the_error(seed, model):
-    clean, bad = (rmse(drive, model) for drive in with_outliers(seed, 0.1))
-    assert bad <= 2 * clean
+    assert rmse(seed, 0.1, model) <= 2 * rmse(seed, 0.0, model)
 
 
 @pytest.mark.parametrize("model", MODELS)
 def test_agreement_costs_nothing_on_a_clean_drive(model):
-    clean = [with_outliers(seed, 0)[0] for seed in SEEDS]
-    with_agreement = np.mean([rmse(drive, model) for drive in clean])
-    assert with_agreement < 1.1 * np.mean([rmse(drive, model, slam.correlated) for drive in clean])
+    with_agreement = np.mean([rmse(seed, 0.0, model) for seed in SEEDS])
+    assert with_agreement < 1.1 * np.mean([rmse(seed, 0.0, model, slam.correlated) for seed in SEEDS])
 
 
 @pytest.mark.parametrize("model", MODELS)
 def test_a_gate_for_each_landmark_alone_is_not_enough(model):
     """So the doubling above is a bound that a filter can break."""
-    errors = np.array([[rmse(drive, model, slam.correlated) for drive in with_outliers(seed, 0.1)] for seed in SEEDS])
-    assert (errors[:, 1] > 2 * errors[:, 0]).all()
+    for seed in SEEDS:
+        assert rmse(seed, 0.1, model, slam.correlated) > 2 * rmse(seed, 0.0, model, slam.correlated)
 
 
 @pytest.mark.parametrize("error_state", [RightInvariant, RightPerturbation])
 @pytest.mark.parametrize("measure", [slam.correlated, consensus.measure])
 @pytest.mark.parametrize("model", MODELS)
-@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize("seed", SEEDS[:2])
 def test_thirty_per_cent_outlier_tracks_are_said_aloud(seed, model, measure, error_state):
     for drive, warned in zip(with_outliers(seed, 0.3), (False, True)):
         steps = steps_of(drive, model, measure, error_state)
@@ -223,7 +224,7 @@ def test_the_stored_study_keeps_what_chapter_8_says_of_it():
 def test_the_stored_study_is_what_the_package_gives(run_0027):
     """0027.npz through the command line and through the benchmark: the same filter, the same numbers."""
     study = json.loads((BENCHMARKS / "results" / "real_drives.json").read_text())["0027"]
-    [row] = [row for row in study["treatments"] if row["name"] == "every cure the audit names"]
+    [row] = [row for row in study["treatments"] if row["name"] == "every cure, and the second gate"]
     assert run_0027[1]["drift_percent"] == pytest.approx(row["drift_percent"], rel=0.05)
 
 

@@ -83,8 +83,8 @@ def add_run(parser):
     add_recording(parser)
     parser.add_argument("--audit", action="store_true",
                         help="audit the recording first, apply the cures found (each is named), and run the filter for "
-                             "real drives: right-invariant, twist and gyro bias estimated, the IMU's noise as measured, "
-                             "measurements that must agree with each other")
+                             "real drives: right-invariant, twist and gyro bias estimated, the IMU's noise as "
+                             "measured, measurements that must agree with each other")
     parser.add_argument("--causal", action="store_true",
                         help="with --audit: leave out the cures that need the whole drive")
     parser.add_argument("--out", type=Path, required=True, metavar="DIR",

@@ -16,7 +16,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from . import slam
+from . import kalman, slam
 
 ROUNDS = 3  # the choice settles in one or two
 
@@ -38,14 +38,17 @@ def update(prior, ids, pixels, sensors):
 
     ids : (m,). pixels : (m, 4). Returns (posterior, Innovation).
     """
-    posterior, innovation = slam.update(prior, ids, pixels, sensors)
-    kept = innovation.accepted
+    if len(ids) == 0:
+        return prior, kalman.NO_INNOVATION
+    innovation, linearised = slam.innovate(prior, ids, pixels, sensors)
+    passed = innovation.accepted
+    kept, posterior = passed, slam.absorb(prior, linearised, passed, sensors)
     for _ in range(ROUNDS):
-        agreeing = innovation.accepted & (after_fit(posterior, ids, pixels, kept, sensors) <= sensors.threshold)
+        agreeing = passed.copy()
+        agreeing[passed] = after_fit(posterior, ids[passed], pixels[passed], kept[passed], sensors) <= sensors.threshold
         if not agreeing.any() or np.array_equal(agreeing, kept):
             break
-        kept = agreeing
-        posterior, _ = slam.update(prior, ids[kept], pixels[kept], sensors)
+        kept, posterior = agreeing, slam.absorb(prior, linearised, agreeing, sensors)
     return posterior, replace(innovation, accepted=kept)
 
 
@@ -55,7 +58,9 @@ def after_fit(posterior, ids, pixels, used, sensors):
     used : (m,) bool, which of them it rests on: those scatter by no more than V around it. The others scatter by V and
     by what the posterior leaves open, S = H P H^T + V.
     """
-    predicted, in_front, _, _ = slam.linearise(posterior, np.searchsorted(posterior.ids, ids), sensors)
+    landmarks = posterior.landmarks[np.searchsorted(posterior.ids, ids)]
+    predicted, in_front = sensors.camera.observe(posterior.world_T_imu, landmarks)
     distance = np.sum((pixels - predicted) ** 2, axis=-1) / sensors.noise.sigma_px**2
-    distance[~used] = slam.update(posterior, ids[~used], pixels[~used], sensors)[1].nis
+    if not used.all():
+        distance[~used] = slam.innovate(posterior, ids[~used], pixels[~used], sensors)[0].nis
     return np.where(in_front, distance, np.inf)

@@ -41,14 +41,16 @@ def _angle_functions(phi):
     """
     t2 = np.sum(phi * phi, axis=-1)
     small = t2 < _SERIES_BELOW
-    series = np.minimum(t2, _SERIES_BELOW)[..., None] ** _ORDERS @ _SERIES
-    u2 = np.maximum(t2, _SERIES_BELOW)
-    u = np.sqrt(u2)
-    a = np.sin(u) / u
-    b = 2.0 * np.sin(0.5 * u) ** 2 / u2
-    c = (1.0 - a) / u2
-    closed = (a, b, c, (b - 0.5 * a) / u2, (3.0 * c - b) / (2.0 * u2))
-    a, b, c, d, e = (np.where(small, series[..., i], f)[..., None, None] for i, f in enumerate(closed))
+    five = np.minimum(t2, _SERIES_BELOW)[..., None] ** _ORDERS @ _SERIES
+    if not small.all():  # a filter's angles are all small, and it calls this several times a frame
+        u2 = np.maximum(t2, _SERIES_BELOW)
+        u = np.sqrt(u2)
+        a = np.sin(u) / u
+        b = 2.0 * np.sin(0.5 * u) ** 2 / u2
+        c = (1.0 - a) / u2
+        closed = np.stack([a, b, c, (b - 0.5 * a) / u2, (3.0 * c - b) / (2.0 * u2)], axis=-1)
+        five = np.where(small[..., None], five, closed)
+    a, b, c, d, e = (five[..., i, None, None] for i in range(5))
     return a, b, c, d, e, t2[..., None, None]
 
 

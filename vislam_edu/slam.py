@@ -77,45 +77,72 @@ def times_H(A, rows, H_landmark, H_pose, n):
     return HA
 
 
-def update(prior, ids, pixels, sensors):
-    """EKF update of the whole joint belief with the landmarks `ids` (all in the window), gated one by one.
+@dataclass(frozen=True, eq=False)
+class Linearised:
+    """A frame's measurements against a prior, ready to be absorbed.
 
-    ids : (m,). pixels : (m, 4). Returns (posterior, Innovation).
-
-    With S = L L^T and Y = L^-1 H P, the gain is K = Y^T L^-1 and the new covariance P - K S K^T = P - Y^T Y: symmetric
-    by construction, and no inverse is ever formed.
-    Source: report section 3.3.2, steps 3 to 5.
+    HP : (3m, d), H times the covariance. S : (3m, 3m), innovation covariance. residual : (3m,) px, three numbers a
+    measurement.
     """
-    if len(ids) == 0:
-        return prior, kalman.NO_INNOVATION
+
+    HP: np.ndarray
+    S: np.ndarray
+    residual: np.ndarray
+
+
+def innovate(prior, ids, pixels, sensors):
+    """The landmarks `ids` (all in the window) against their predictions, gated one by one.
+
+    ids : (m,). pixels : (m, 4). Returns (Innovation, Linearised).
+    """
     n, m = len(prior.ids), len(ids)
     rows = np.searchsorted(prior.ids, ids)
     predicted, in_front, H_l, H_p = linearise(prior, rows, sensors)
     residual = pixels - predicted
-    variance = sensors.noise.sigma_px**2
 
     HP = times_H(prior.covariance, rows, H_l, H_p, n)
     S = times_H(np.ascontiguousarray(HP.T), rows, H_l, H_p, n)
     each = np.arange(m)
     explained = S.reshape(m, 3, m, 3)[each, :, each, :]
-    S.reshape(-1)[::3 * m + 1] += np.tile(variance * ROW_VARIANCE, m)  # on the diagonal
+    S.reshape(-1)[::3 * m + 1] += np.tile(sensors.noise.sigma_px**2 * ROW_VARIANCE, m)  # on the diagonal
 
     S_each = explained[:, FOUR_FROM_THREE][:, :, FOUR_FROM_THREE] + sensors.noise.pixel_covariance
     nis = np.where(in_front, kalman.nis(residual, S_each), np.inf)
     accepted = in_front & (nis <= sensors.threshold)
-    innovation = kalman.Innovation(ids, pixels, predicted, S_each, nis, accepted)
+    return (kalman.Innovation(ids, pixels, predicted, S_each, nis, accepted),
+            Linearised(HP, S, reduce_rows(residual).ravel()))
+
+
+def absorb(prior, linearised, accepted, sensors) -> Belief:
+    """EKF update of the whole joint belief with the measurements that are accepted, (m,) bool.
+
+    With S = L L^T and Y = L^-1 H P, the gain is K = Y^T L^-1 and the new covariance P - K S K^T = P - Y^T Y: symmetric
+    by construction, and no inverse is ever formed.
+    Source: report section 3.3.2, steps 3 to 5.
+    """
     if not accepted.any():
-        return prior, innovation
-    reduced = reduce_rows(residual).ravel()
+        return prior
+    HP, S, residual = linearised.HP.copy(), linearised.S.copy(), linearised.residual.copy()
     if not accepted.all():  # a measurement kept out is one that depends on nothing: H = 0, whatever its noise
         out = np.flatnonzero(np.repeat(~accepted, 3))
-        HP[out], S[out], S[:, out], S[out, out], reduced[out] = 0, 0, 0, 1, 0
+        HP[out], S[out], S[:, out], S[out, out], residual[out] = 0, 0, 0, 1, 0
 
     # LAPACK and BLAS count by columns: S^T is S, and (HP)^T becomes Y^T = (HP)^T L^-T, both in place
     L = cholesky(S.T, lower=True, overwrite_a=True, check_finite=False)
     Y = dtrsm(1.0, L, HP.T, side=1, lower=1, trans_a=1, overwrite_b=1).T
-    y = dtrsv(L, reduced, lower=1)
-    return motion.retract(prior, Y.T @ y, prior.covariance - Y.T @ Y, sensors.error_state), innovation
+    y = dtrsv(L, residual, lower=1)
+    return motion.retract(prior, Y.T @ y, prior.covariance - Y.T @ Y, sensors.error_state)
+
+
+def update(prior, ids, pixels, sensors):
+    """EKF update with the landmarks `ids` (all in the window) that the gate lets pass.
+
+    ids : (m,). pixels : (m, 4). Returns (posterior, Innovation).
+    """
+    if len(ids) == 0:
+        return prior, kalman.NO_INNOVATION
+    innovation, linearised = innovate(prior, ids, pixels, sensors)
+    return absorb(prior, linearised, innovation.accepted, sensors), innovation
 
 
 def select(belief, keep) -> Belief:
