@@ -8,7 +8,7 @@ import pytest
 from matplotlib.path import Path
 from scipy.stats import chi2, multivariate_normal
 
-from vislam_edu import mapping, odometry, se3, simulate, slam
+from vislam_edu import mapping, odometry, pipeline, se3, simulate, slam
 from vislam_edu.error_state import RightInvariant, RightPerturbation
 from vislam_edu.noise import Noise
 from vislam_edu.pictures import joint, localisation, stereo_depth, twist
@@ -391,7 +391,7 @@ def test_world_covariance_of_the_landmarks_against_central_differences(drive, er
     J = np.column_stack([(landmarks(step * e) - landmarks(-step * e)) / (2 * step) for e in np.eye(d)])
     full = J @ belief.covariance @ J.T
     expected = [full[3 * j : 3 * j + 3, 3 * j : 3 * j + 3] for j in range(len(belief.ids))]
-    np.testing.assert_allclose(joint.world_landmark_covariance(belief, error_state), expected, rtol=1e-6, atol=1e-9)
+    np.testing.assert_allclose(pipeline.world_landmark_covariance(belief, error_state), expected, rtol=1e-6, atol=1e-9)
 
 
 def test_joint_pose_is_less_certain_after_prediction_than_after_update(joined):

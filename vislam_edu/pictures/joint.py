@@ -5,6 +5,7 @@ from matplotlib.collections import LineCollection
 
 from .. import kalman, slam
 from ..error_state import RightPerturbation
+from ..pipeline import world_landmark_covariance
 from ..style import COLOURS
 from .canvas import StepPicture, Switch
 from .panels import MapPanel, TimePanel, add_axes, legend, nis_band
@@ -17,20 +18,6 @@ def correlation(covariance):
     """Correlation matrix (n, n) of a covariance (n, n): entries from -1 to 1, ones on the diagonal."""
     sigma = np.sqrt(np.diag(covariance))
     return covariance / np.outer(sigma, sigma)
-
-
-def world_landmark_covariance(belief, error_state):
-    """(n, 3, 3) m^2: covariance of the landmarks in the world frame, whatever error the filter keeps.
-
-    belief : `motion.Belief`. To first order, and with C from `error_state`,
-    m - m_hat = (landmark error) + C (pose error).
-    """
-    P = belief.landmark_covariance
-    C = error_state.world_landmark(belief.landmarks)
-    if C is None:
-        return P
-    cross = belief.covariance[: 3 * len(P), belief.pose].reshape(-1, 3, 6) @ np.swapaxes(C, -1, -2)
-    return P + cross + np.swapaxes(cross, -1, -2) + C @ belief.pose_covariance @ np.swapaxes(C, -1, -2)
 
 
 def frame_nis(step, sensors):
