@@ -10,13 +10,22 @@ import numpy as np
 from scipy.stats import chi2
 
 
-def innovation_covariance(covariance, H, R):
-    """S = H P H^T + R: how far a measurement may fall from its prediction.
+def central_difference(f, n, step=1e-6):
+    """Jacobian of f at 0, numerically: one column per coordinate, (f(+step) - f(-step)) / (2 step).
 
-    covariance : (..., n, n). H : (..., m, n). R : (..., m, m). Returns (..., m, m).
+    f : function of a vector (n,), with values (m,). Returns (m, n).
+    What every Jacobian is held against: its error is of the order of step^2, and of rounding divided by step.
+    """
+    return np.stack([(f(step * e) - f(-step * e)) / (2 * step) for e in np.eye(n)], axis=-1)
+
+
+def innovation_covariance(covariance, H, V):
+    """S = H Sigma H^T + V: how far a measurement may fall from its prediction.
+
+    covariance : (..., n, n). H : (..., m, n). V : (..., m, m). Returns (..., m, m).
     Source: report section 3.2.2.
     """
-    return H @ covariance @ np.swapaxes(H, -1, -2) + R
+    return H @ covariance @ np.swapaxes(H, -1, -2) + V
 
 
 def nis(residual, S):
@@ -39,7 +48,7 @@ def gate_threshold(probability, dof=4) -> float:
 
 
 def gain(covariance, H, S):
-    """Kalman gain K = P H^T S^-1, by Cholesky: S is never inverted.
+    """Kalman gain K = Sigma H^T S^-1, by Cholesky: S is never inverted.
 
     covariance : (..., n, n). H : (..., m, n). S : (..., m, m). Returns (..., n, m).
     Source: report section 3.2.2.
@@ -49,20 +58,20 @@ def gain(covariance, H, S):
     return np.swapaxes(np.linalg.solve(np.swapaxes(L, -1, -2), whitened), -1, -2)
 
 
-def update(covariance, H, R, residual):
+def update(covariance, H, V, residual):
     """One Kalman update; returns the correction of the mean and the new covariance.
 
-    covariance : (..., n, n). H : (..., m, n). R : (..., m, m). residual : (..., m), measured minus predicted.
+    covariance : (..., n, n). H : (..., m, n). V : (..., m, m). residual : (..., m), measured minus predicted.
     Returns delta (..., n) and covariance (..., n, n). The correction is returned, not added: what "adding" means
     is the state's own business (on SE(3) it is not +).
 
-    The report's (I - K H) P is right on paper and loses symmetry and positivity in rounding; the Joseph form
-    (I - K H) P (I - K H)^T + K R K^T is the same matrix and keeps both.
+    The report's (I - K H) Sigma is right on paper and loses symmetry and positivity in rounding; the Joseph form
+    (I - K H) Sigma (I - K H)^T + K V K^T is the same matrix and keeps both.
     Source: report section 3.2.2; Bar-Shalom et al., section 5.2.
     """
-    K = gain(covariance, H, innovation_covariance(covariance, H, R))
+    K = gain(covariance, H, innovation_covariance(covariance, H, V))
     A = np.eye(covariance.shape[-1]) - K @ H
-    new = A @ covariance @ np.swapaxes(A, -1, -2) + K @ R @ np.swapaxes(K, -1, -2)
+    new = A @ covariance @ np.swapaxes(A, -1, -2) + K @ V @ np.swapaxes(K, -1, -2)
     return (K @ residual[..., None])[..., 0], (new + np.swapaxes(new, -1, -2)) / 2
 
 

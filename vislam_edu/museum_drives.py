@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from . import metrics, motion, se3, slam
+from . import metrics, motion, se3, slam, style
 from .error_state import RightPerturbation
 from .stereo import StereoCamera
 
@@ -234,7 +234,7 @@ class Visit:
 
 
 def _capped(value, most) -> str:
-    return f"{float(f'{value:.2g}'):g}" if value <= most else f"> {most}"
+    return style.two_digits(value) if value <= most else f"> {most}"
 
 
 def visit(piece, drive, noise, world_T_imu, gate=1) -> Visit:

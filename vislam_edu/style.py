@@ -127,6 +127,11 @@ def line(method):
     return {"color": COLOURS[method], "linestyle": LINESTYLES[method], "label": LABELS.get(method, method)}
 
 
+def two_digits(x) -> str:
+    """A number below a million to two significant digits, without an exponent: the third depends on the machine."""
+    return f"{float(f'{x:.2g}'):g}"
+
+
 def ellipse_points(mean, covariance, probability=0.95, n=60):
     """Outline of the ellipse that holds a 2-D Gaussian with this probability.
 

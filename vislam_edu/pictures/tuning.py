@@ -9,7 +9,7 @@ from .. import metrics, odometry, slam
 from ..error_state import RightInvariant, RightPerturbation
 from ..noise import Noise
 from ..pipeline import right_pose_covariance
-from ..style import COLOURS, ellipse_points
+from ..style import COLOURS, ellipse_points, two_digits
 from .canvas import Decades, Number, Picture, Switch
 from .joint import frame_nis
 from .panels import add_axes, legend, nis_band
@@ -185,7 +185,7 @@ class TuningPicture(Picture):
             self._fit(artists[0].axes, np.abs([error, three_sigma]).max())
         for (line, words), values in zip((self.nees, self.nis), (run.nees, run.nis)):
             line.set_ydata(values)
-            words.set_text(f"mean {_two_digits(np.nanmean(values))}")
+            words.set_text(f"mean {two_digits(np.nanmean(values))}")
 
     def _fit(self, axes, top):
         """Limits that hold ± top, the next of 1, 2, 5, 10 ...: the axes change seldom, as they must be drawn again."""
@@ -201,9 +201,9 @@ class TuningPicture(Picture):
         low, high = metrics.chi2_band(6, probability=0.95)
         inside = 100 * np.mean((low <= run.nees) & (run.nees <= high))
         return (
-            f"NEES {_two_digits(run.nees.mean())} (6 is honest, {inside:.0f} % of the frames inside the band); "
-            f"NIS of a measurement {_two_digits(run.measurement_nis)} (4 is honest); "
-            f"{_two_digits(run.final_error)} m from the truth at the end."
+            f"NEES {two_digits(run.nees.mean())} (6 is honest, {inside:.0f} % of the frames inside the band); "
+            f"NIS of a measurement {two_digits(run.measurement_nis)} (4 is honest); "
+            f"{two_digits(run.final_error)} m from the truth at the end."
         )
 
     def alt(self, **state):
@@ -214,11 +214,6 @@ class TuningPicture(Picture):
         return (
             f"The {which} filter with sigma_v {s['sigma_v']:.2g} m/s, sigma_omega {s['sigma_omega']:.2g} rad/s, "
             f"sigma_px {s['sigma_px']:.2g} px, start {s['start']:.2g} sigma, new landmarks {birth}: path on a map, "
-            f"two errors with three standard deviations, NEES (mean {_two_digits(run.nees.mean())}) and NIS, "
+            f"two errors with three standard deviations, NEES (mean {two_digits(run.nees.mean())}) and NIS, "
             "through time."
         )
-
-
-def _two_digits(value) -> str:
-    """160, not 1.6e+02."""
-    return f"{float(f'{value:.2g}'):g}"
