@@ -170,6 +170,7 @@ def test_exp_and_log_against_scipy(xi):
 def test_log_against_logm(xi):
     """logm, which is general, loses digits near pi; it is asked where it is exact."""
     T = se3.exp(xi)
+    T[np.abs(T) < 1e-200] = 0.0  # logm overflows inside where an entry is below some 1e-291, and not zero
     assert_allclose(se3.log(T), se3.vee(np.real(logm(T))), rtol=0, atol=1e-10)
 
 
