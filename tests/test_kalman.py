@@ -24,7 +24,7 @@ def test_update_is_the_textbook_one():
 
 
 def test_update_is_the_least_squares_solution():
-    """The mean that weighs prior and measurement by their inverse covariances; its covariance is the inverse of the sum."""
+    """Prior and measurement, each weighed by its inverse covariance; the covariance is the inverse of their sum."""
     Sigma, H, V, residual = problem()
     information = np.linalg.inv(Sigma) + H.T @ np.linalg.inv(V) @ H
     delta, new = kalman.update(Sigma, H, V, residual)
