@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from vislam_edu import recordings, se3, simulate
+from vislam_edu import recordings, se3, simulate, streets
 
 
 @pytest.fixture(scope="module")
@@ -54,7 +54,7 @@ def test_loop_closes_and_moves_in_all_six_degrees(perfect):
 @pytest.mark.parametrize("length", [200, 500, 3026])
 def test_road_closes_whatever_its_length(length):
     s = np.linspace(0, length, 200 * length)
-    heading, _ = simulate._Streets(length).heading(s)
+    heading, _ = streets.Streets(length).heading(s)
     assert heading[-1] == pytest.approx(2 * np.pi)
     np.testing.assert_allclose(np.trapezoid([np.cos(heading), np.sin(heading)], s), 0, atol=1e-6)
 
