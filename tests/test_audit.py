@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from vislam_edu import audit as audit_module
-from vislam_edu import cures, faults, recordings, se3, simulate, track_health
+from vislam_edu import cures, faults, imu_alignment, recordings, se3, simulate, track_health
 from vislam_edu.audit import audit
 
 SEEDS = (11, 12)
@@ -135,7 +135,7 @@ def test_lever_arm(error):
 @pytest.mark.parametrize("bias", [(0.02, 0.02, 0.02), (0.05, 0, -0.03), (0, 0, 0.3)])
 def test_gyro_bias(bias):
     report = found_and_cured(faults.add_gyro_bias(street(11), bias), "gyro bias")
-    error = report.alignment.sigma(audit_module.GYRO_BIAS)
+    error = report.alignment.sigma(imu_alignment.GYRO_BIAS)
     assert (error < 0.006).all()
     assert (np.abs(np.subtract(report["gyro bias"].size, bias)) < 4 * error).all()
     assert report["gyro bias"].cure.needs_future
@@ -302,7 +302,6 @@ def test_drives_too_poor_to_judge_are_still_reported():
 def test_command_line(tmp_path, capsys):
     recordings.save(everything_wrong(11), tmp_path / "drive.npz")
     parser = argparse.ArgumentParser()
-    parser.add_argument("recording")
     audit_module.add_arguments(parser)
     words = [str(tmp_path / "drive.npz"), "--json", "--figure", str(tmp_path / "audit.png"), "--cured",
              str(tmp_path / "cured.npz"), "--causal"]

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from vislam_edu import consistency, metrics, se3, simulate, slam
+from vislam_edu.__main__ import main
 from vislam_edu.error_state import RightInvariant, RightPerturbation
 from vislam_edu.noise import Noise
 
@@ -174,3 +175,17 @@ def test_the_command_writes_its_summary(tmp_path, capsys):
     for name in ["report_values", "report", "right_perturbation", "right_invariant"]:
         assert name in printed
         assert {"nees_pose", "nees_rotation", "nees_position", "nis", "rmse_m"} <= figures[name].keys()
+
+
+@pytest.mark.parametrize(("options", "said"), [
+    (["--seeds", "0"], "--seeds: 0 is not a whole number of at least 1"),
+    (["--sigma-px", "0"], "--sigma-px: 0 is not a number above 0"),
+    (["--frames", "3"], "frames must be at least 2 and at least the shortest life 5"),
+], ids=lambda value: value[0] if isinstance(value, list) else "")
+def test_bad_input_to_the_command_ends_in_one_line(options, said, tmp_path, capsys):
+    try:
+        status = main(["consistency", "--out", str(tmp_path), *options])
+    except SystemExit as stopped:  # argparse leaves this way
+        status = stopped.code
+    assert status == 2
+    assert said in capsys.readouterr().err.splitlines()[-1]  # after what the progress bar wrote

@@ -5,11 +5,11 @@ the work and returns the exit status. What a subcommand needs is imported when i
 """
 
 import argparse
-import math
 import sys
 from pathlib import Path
 from typing import NoReturn
 
+from .arguments import add_recording, number, read_recording, whole
 from .drive import DriveError
 
 BAD_INPUT, INTERRUPTED = 2, 130
@@ -20,60 +20,6 @@ class Parser(argparse.ArgumentParser):
 
     def error(self, message) -> NoReturn:
         self.exit(BAD_INPUT, f"{self.prog}: {message} (--help explains)\n")
-
-
-# --- arguments --------------------------------------------------------------------------------------------
-
-
-def number(low=-math.inf, high=math.inf, *, low_allowed=True):
-    """A check for argparse: a finite number from low to high."""
-
-    def check(text):
-        value = float(text)  # argparse turns the ValueError of a word into its own message
-        if not math.isfinite(value):
-            raise argparse.ArgumentTypeError(f"{text} is not a finite number")
-        if not low <= value <= high or (value == low and not low_allowed):
-            above = "at least" if low_allowed else "above"
-            upto = "" if math.isinf(high) else f" and at most {high:g}"
-            raise argparse.ArgumentTypeError(f"{text} is not a number {above} {low:g}{upto}")
-        return value
-
-    check.__name__ = "number"
-    return check
-
-
-def whole(low):
-    """A check for argparse: a whole number of at least low."""
-
-    def check(text):
-        value = int(text)
-        if value < low:
-            raise argparse.ArgumentTypeError(f"{text} is not a whole number of at least {low}")
-        return value
-
-    check.__name__ = "whole number"
-    return check
-
-
-def add_recording(parser):
-    parser.add_argument("recording", nargs="?", default="street_loop", metavar="RECORDING",
-                        help="npz or npy file of a drive, or the name of one in data/ (default: street_loop)")
-    parser.add_argument("--ground-truth", type=Path, metavar="FILE",
-                        help="true poses of the left camera: KITTI (12 numbers a row) or TUM "
-                             "(time x y z qx qy qz qw)")
-
-
-def read_recording(arguments):
-    """The drive that `add_recording` asked for."""
-    from . import recordings
-
-    path = Path(arguments.recording)
-    if not path.exists():
-        path = recordings.find(arguments.recording) or path
-    drive = recordings.load(path)
-    if arguments.ground_truth is not None:
-        drive = recordings.load_ground_truth(arguments.ground_truth, drive)
-    return drive
 
 
 # --- run --------------------------------------------------------------------------------------------------
@@ -250,11 +196,8 @@ def module_command(argv):
     name, text = MODULES[argv[0]]
     module = import_module(f".{name}", __package__)
     command = Parser(prog=f"python -m vislam_edu {argv[0]}", description=text[0].upper() + text[1:] + ".")
-    if argv[0] == "audit":
-        add_recording(command)
     module.add_arguments(command)
-    arguments = command.parse_args(argv[1:])
-    return module.run(arguments, read_recording(arguments)) if argv[0] == "audit" else module.run(arguments)
+    return module.run(command.parse_args(argv[1:]))
 
 
 def parser():

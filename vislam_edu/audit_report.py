@@ -7,10 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from matplotlib.figure import Figure
 
-from . import imu_alignment, style, track_health
+from . import imu_alignment, imu_timing, style, track_health
 from .cures import Cure
 from .drive import Drive
-from .imu_alignment import Alignment, Timing
+from .imu_alignment import Alignment
+from .imu_timing import Timing
 from .measured_noise import MeasuredNoise
 from .visual_odometry import FrameMotions
 
@@ -179,7 +180,7 @@ def _draw_timing(ax, timing):
            ylabel="log likelihood, best is 0")
     if timing is not None:
         relative = timing.log_likelihood - timing.log_likelihood.max()
-        ax.plot(imu_alignment.OFFSETS, relative, "o-", ms=4, color=style.COLOURS["measured"])
+        ax.plot(imu_timing.OFFSETS, relative, "o-", ms=4, color=style.COLOURS["measured"])
     for offset, name in ((0, "k"), (-0.5, "mean"), (-1, "k+1")):
         ax.axvline(offset, lw=1, ls="--", color=style.COLOURS["expected"])
         ax.text(offset, 0.02, f" {name}", transform=ax.get_xaxis_transform(), rotation=90, fontsize="small")

@@ -32,6 +32,8 @@ import numpy as np
 from tqdm.auto import tqdm
 
 from . import metrics, se3, simulate, slam
+from .arguments import number, whole
+from .drive import DriveError
 from .error_state import RightInvariant, RightPerturbation
 from .files import replacing
 from .noise import Noise
@@ -223,34 +225,46 @@ def table(figures) -> str:
     names = [name for name, value in figures.items() if isinstance(value, dict)]
     width = max(map(len, names))
     lines = [" " * width + "".join(f"{title:>11}" for title in columns.values())]
-    lines += [f"{name:{width}}" + "".join(f"{figures[name][key]:11.3f}" for key in columns) for name in names]
+    lines += [f"{name:{width}}" + "".join(f"{_digits(figures[name][key]):>11}" for key in columns)
+              for name in names]
     low, high = figures["band_99"]
     lines.append(f"{figures['runs']} drives of {figures['frames']} frames; "
                  f"99 % band of the pose's NEES [{low:.2f}, {high:.2f}]")
     return "\n".join(lines)
 
 
+def _digits(value) -> str:
+    return f"{value:.0f}" if value >= 100 else f"{value:.2f}"
+
+
 def add_arguments(parser):
     """The options of `python -m vislam_edu consistency`. parser : argparse.ArgumentParser."""
     noise = Noise()
-    parser.add_argument("--seeds", type=int, default=50, help="number of drives (default: %(default)s)")
+    parser.add_argument("--seeds", type=whole(1), default=50, help="number of drives (default: %(default)s)")
     parser.add_argument("--out", type=Path, required=True, help="directory for summary.json and a file "
                         "per drive; a study that was interrupted goes on from there")
-    parser.add_argument("--frames", type=int, default=500, help="frames per drive (default: %(default)s)")
-    parser.add_argument("--sigma-v", type=float, default=noise.sigma_v, help="m/s (default: %(default)s)")
-    parser.add_argument("--sigma-omega", type=float, default=noise.sigma_omega,
+    parser.add_argument("--frames", type=whole(2), default=500, help="frames per drive (default: %(default)s)")
+    parser.add_argument("--sigma-v", type=number(0), default=noise.sigma_v, help="m/s (default: %(default)s)")
+    parser.add_argument("--sigma-omega", type=number(0), default=noise.sigma_omega,
                         help="rad/s (default: %(default)s)")
-    parser.add_argument("--sigma-px", type=float, default=noise.sigma_px, help="px (default: %(default)s)")
+    parser.add_argument("--sigma-px", type=number(0, low_allowed=False), default=noise.sigma_px,
+                        help="px (default: %(default)s)")
     parser.add_argument("--workers", type=int, default=1, help="processes (default: %(default)s)")
 
 
 def run(arguments) -> int:
-    """Run the study on the default simulated drive, print its table, write its summary; returns the exit status."""
+    """Run the study on the default simulated drive, print its table, write its summary; returns the exit status.
+
+    Raises DriveError when no such drive can be made, or when the directory holds another study.
+    """
     sensors = {key: getattr(arguments, key) for key in ("sigma_v", "sigma_omega", "sigma_px")}
     make_drive = functools.partial(simulate.street_loop, frames=arguments.frames, **sensors)
-    with joblib.parallel_config(n_jobs=arguments.workers):
-        studies = monte_carlo(make_drive, standard_filters(Noise(**sensors)), range(arguments.seeds),
-                              arguments.out)
+    try:
+        with joblib.parallel_config(n_jobs=arguments.workers):
+            studies = monte_carlo(make_drive, standard_filters(Noise(**sensors)), range(arguments.seeds),
+                                  arguments.out)
+    except ValueError as error:
+        raise DriveError(f"consistency: {error}") from None
     figures = summary(studies) | sensors
     with replacing(arguments.out / "summary.json") as file:
         file.write((json.dumps(figures, indent=2) + "\n").encode())

@@ -1,4 +1,4 @@
-"""An IMU held against the motion that the cameras saw: when it measured, how it is mounted, how wrong it is.
+"""An IMU held against the motion that the cameras saw: how it is mounted, how wrong it is.
 
 The cameras' twist `[v, w]` of each step (`visual_odometry`) is turned into what the IMU should measure,
 
@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.stats import chi2, norm
+from scipy.stats import chi2
 
 from . import se3
 
@@ -89,13 +89,21 @@ def correlation(a, b):
     return (a * b).sum(axis=0) / np.where(scale > 0, scale, 1)
 
 
+def correlation_by_extrinsics(drive, motions):
+    """(6,) correlation of each IMU axis with the cameras' motion seen through the extrinsics that the drive has."""
+    steps = np.flatnonzero(usable_steps(motions))
+    expected = np.matvec(se3.Adjoint(drive.camera.imu_T_cam), motions.twists[steps])
+    return correlation(drive.step_twists[steps], expected)
+
+
 def usable_steps(motions):
     """(T-1,) bool: the cameras' motion is known far better than a step of driving is long."""
     sigma = np.sqrt(np.diagonal(motions.twist_covariance, axis1=1, axis2=2))
     return motions.ok & (sigma[:, :3].max(axis=1) < 1.0) & (sigma[:, 3:].max(axis=1) < 0.03)
 
 
-def _enough_steps(motions):
+def enough_steps(motions):
+    """The steps (n,) that `usable_steps` names. Raises TooFewSteps when there are fewer than 30."""
     steps = np.flatnonzero(usable_steps(motions))
     if len(steps) < _MIN_STEPS:
         raise TooFewSteps(f"the cameras' motion is known in {len(steps)} steps only, {_MIN_STEPS} are needed")
@@ -108,8 +116,8 @@ def align(drive, motions) -> Alignment:
     drive : its `step_twists` are taken as they are, its extrinsics are not used. motions : its `FrameMotions`.
     Raises TooFewSteps (a ValueError) when the cameras' motion is known in fewer than 30 steps.
     """
-    steps = _enough_steps(motions)
-    return _fit(steps, drive.step_twists[steps], motions.twists[steps], motions.twist_covariance[steps])
+    steps = enough_steps(motions)
+    return fit(steps, drive.step_twists[steps], motions.twists[steps], motions.twist_covariance[steps])
 
 
 def evidence(gain, camera_noise) -> float:
@@ -134,7 +142,7 @@ def mounting_p_value(alignment, imu_R_cam) -> float:
 
     All else is fitted anew. A wrong angle theta sees the cameras' noise turned by theta: 4 sin^2(theta / 2) of it.
     """
-    bound = _fit(alignment.steps, alignment.measured, alignment.seen, alignment.seen_covariance, imu_R_cam)
+    bound = fit(alignment.steps, alignment.measured, alignment.seen, alignment.seen_covariance, imu_R_cam)
     gain = (cost(bound, alignment.variance) - cost(alignment, alignment.variance)) / 2
     angle = np.linalg.norm(se3.so3_log(imu_R_cam @ alignment.imu_R_cam.T))
     return float(chi2.sf(evidence(gain, 4 * np.sin(angle / 2) ** 2 * camera_noise(alignment)), 3))
@@ -145,8 +153,10 @@ def cost(alignment, variance) -> float:
     return float(np.minimum((alignment.measured - alignment.predicted) ** 2 / variance, CUT**2).sum())
 
 
-def _fit(steps, measured, seen, covariance, imu_R_cam=None) -> Alignment:
+def fit(steps, measured, seen, covariance, imu_R_cam=None) -> Alignment:
     """Gauss-Newton from a closed-form start, or with the mounting held where it is given.
+
+    steps (n,) int. measured (n, 6) IMU twists, seen (n, 6) and covariance (n, 6, 6) the cameras' in their own frame.
 
     Each number weighs by its own variance, the IMU's noise (one number per axis, estimated on the way) plus the
     cameras' in that step; what lies beyond four standard deviations is left out.
@@ -242,93 +252,3 @@ def _imu_noise(residual, cameras):
         variance = (weight * (residual**2 - cameras)).sum(axis=0) / np.maximum(weight.sum(axis=0), 1e-300)
         sigma = np.sqrt(np.maximum(variance, _LEAST_NOISE**2))
     return sigma, inlier
-
-
-# --- when the IMU measured --------------------------------------------------------------------------------------------
-
-OFFSETS = np.arange(-4, 5)
-
-
-@dataclass(frozen=True, eq=False)
-class Timing:
-    """How well IMU sample k fits the cameras' motion over step k + s, for the whole offsets s in `OFFSETS`.
-
-    log_likelihood (9,), that of the best offset is 0. camera_noise : how much each of them scatters (variance) because
-    the cameras' own noise meets the IMU's by chance, anew at every offset.
-    s = 0 is the reading "k" (the sample drives the step that follows it), s = -1 is "k+1"; "mean" has its peak in
-    between. (Averaging two samples for it would halve their noise and win for that reason alone.)
-    """
-
-    log_likelihood: np.ndarray
-    camera_noise: float
-
-    @property
-    def best(self) -> int:
-        """The likeliest whole offset."""
-        return int(OFFSETS[np.argmax(self.log_likelihood)])
-
-    @cached_property
-    def peak(self) -> tuple[float, float]:
-        """Top of the parabola through the best offset and its neighbours, and its standard error, in samples.
-
-        The likelihood falls with the square of the offset as long as the motion is smooth from frame to frame.
-        """
-        i = int(np.clip(np.argmax(self.log_likelihood), 1, len(OFFSETS) - 2))
-        before, top, after = self.log_likelihood[i - 1 : i + 2]
-        curvature = 2 * top - before - after
-        if curvature <= 0:
-            return float(self.best), float("inf")
-        error = np.sqrt(1 / curvature + self.camera_noise / (2 * curvature**2))
-        return float(OFFSETS[i] + 0.5 * (after - before) / curvature), float(error)
-
-    def p_value(self, offset) -> float:
-        """How often the best offset would win by as much if this one (whole or a half) were right.
-
-        `evidence` tells why the cameras' noise counts; two offsets see two independent pieces of it.
-        """
-        if abs(self.peak[0] - offset) < 0.75:
-            return float(2 * norm.sf(abs(self.peak[0] - offset) / self.peak[1]))
-        gain = self.log_likelihood.max() - self.log_likelihood[np.abs(OFFSETS - offset) < 0.75].max()
-        z = evidence(gain, 2 * self.camera_noise) ** 0.5
-        return float(min(1.0, 2 * len(OFFSETS) * norm.sf(z)))
-
-
-def timing(drive, motions) -> Timing:
-    """Hold the gyro at every offset from -4 to 4 against the cameras; the alignment is fitted anew for each.
-
-    The speed is left out: it changes too slowly to tell the time, and its noise would drown what the gyro says.
-    Uses the raw samples, `drive.imu_sample` does not matter. Raises TooFewSteps as `align` does.
-    """
-    steps = _enough_steps(motions)
-    seen, covariance = motions.twists[steps], motions.twist_covariance[steps]
-    residuals: list[np.ndarray] = []
-    cameras: list[np.ndarray] = []
-    fits = []
-    for offset in OFFSETS:
-        sample = steps - offset
-        there = (sample >= 0) & (sample < drive.n_frames)
-        fit = _fit(steps[there], drive.twists[sample[there]], seen[there], covariance[there])
-        fits.append(fit)
-        for arrays, values in ((residuals, fit.measured - fit.predicted), (cameras, fit.camera_variance)):
-            arrays.append(np.full((drive.n_frames, 3), np.nan))
-            arrays[-1][sample[there]] = values[:, 3:]
-    quietest = min(fits, key=lambda fit: np.log(fit.imu_sigma[3:]).sum())
-    noise = quietest.imu_sigma[3:] ** 2
-
-    def gain(a, b):
-        """Log likelihood of offset b less that of a, over the IMU samples that both have a step for.
-
-        Over the same samples, because the noise (and the bends) of those that only one has would count for much.
-        """
-        variance = noise + (cameras[a] + cameras[b]) / 2
-        cost_a, cost_b = (np.minimum(residuals[i] ** 2 / variance, CUT**2) for i in (a, b))
-        return 0.5 * np.nansum(cost_a - cost_b)
-
-    best = int(np.flatnonzero(OFFSETS == 0)[0])
-    for _ in range(len(OFFSETS)):
-        log_likelihood = np.array([gain(best, i) for i in range(len(OFFSETS))])
-        if log_likelihood.max() <= 0:
-            break
-        best = int(np.argmax(log_likelihood))
-    camera_noise = (quietest.camera_variance[:, 3:] * noise / quietest.variance[:, 3:] ** 2).sum()
-    return Timing(log_likelihood=log_likelihood - log_likelihood.max(), camera_noise=float(camera_noise))

@@ -12,6 +12,7 @@ import json
 from collections import Counter
 from pathlib import Path
 
+from ..arguments import number
 from ..files import replacing
 from . import cells, grading, museum
 from .exercise import EXERCISES
@@ -34,15 +35,8 @@ def add_arguments(parser):
                            "answers in them are lost")
     parser.add_argument("--out", type=Path, default=Path(), metavar="DIR",
                         help="where --report writes exercises.csv and exercises.json (default: here)")
-    parser.add_argument("--limit", type=_seconds, default=grading.LIMIT, metavar="S",
+    parser.add_argument("--limit", type=number(0, low_allowed=False), default=grading.LIMIT, metavar="S",
                         help=f"seconds that one submitted notebook may take (default: {grading.LIMIT:g})")
-
-
-def _seconds(text):
-    value = float(text)
-    if not 0 < value < float("inf"):
-        raise argparse.ArgumentTypeError(f"{text} is not a number of seconds above 0")
-    return value
 
 
 def run(arguments) -> int:
