@@ -6,13 +6,16 @@ from pathlib import Path
 
 import nbformat
 import pytest
+from nbconvert import HTMLExporter
 from nbformat import v4
 
 ROOT = Path(__file__).resolve().parents[1]
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
+PNG = {"image/png": "iVBORw0KGgo="}
 LARGEST = 3_000_000  # bytes
 MACHINE_PATH = re.compile(r"/home/|/Users/|/root/|/tmp/|site-packages|\b[A-Z]:\\{1,2}(?:Users|Program)")
 PICTURES = {"image/png", "image/jpeg"}
+WIDGET = "application/vnd.jupyter.widget-view+json"
 
 
 def problems(notebook):
@@ -39,6 +42,17 @@ def code_cell_problems(cell):
             yield f"stored error: {output.ename}"
         if output.get("name") == "stderr":
             yield "stored stderr"
+        yield from picture_problems(output)
+
+
+def picture_problems(output):
+    """What a reader without a kernel, or without eyes for it, would miss of an output."""
+    data = output.get("data", {})
+    if WIDGET in data and "image/png" not in data:
+        yield "a widget without a still picture"
+    for mime in PICTURES & data.keys():
+        if not output.metadata.get(mime, {}).get("alt"):
+            yield "a picture without alternative text"
 
 
 def has_import(cell):
@@ -66,8 +80,13 @@ def sound():
         v4.new_markdown_cell("# $\\mathbf{T}$ and I:\\mathbb{R}"),
         v4.new_code_cell("import numpy as np", **run),
         v4.new_code_cell("print('a')", **run, outputs=[v4.new_output("stream", name="stdout", text="a\n")]),
+        v4.new_code_cell("1", **run, outputs=[described_picture()]),
         v4.new_code_cell(""),
     ])
+
+
+def described_picture():
+    return v4.new_output("display_data", data=PNG, metadata={"image/png": {"alt": 'x < "3"'}})
 
 
 def spoil(**changes):
@@ -92,6 +111,8 @@ SPOILED = {
     "semicolon": (spoil(source="ax.plot(x);"), "semicolon"),
     "error": (spoil(outputs=[ERROR]), "stored error: KeyError"),
     "stderr": (printing("warning", name="stderr"), "stored stderr"),
+    "widget": (spoil(outputs=[v4.new_output("display_data", data={WIDGET: {}})]), "without a still"),
+    "picture": (spoil(outputs=[v4.new_output("display_data", data=PNG)]), "without alternative text"),
     "path in stdout": (printing("saved /home/ann/x.png"), "/home/"),
     "path on Windows": (printing("saved C:\\Users\\ann"), "C:\\Users"),
     "path in html": (spoil(outputs=[LINK]), "/Users/"),
@@ -117,3 +138,9 @@ def test_widget_state_and_a_first_cell_without_imports_are_found():
     del notebook.cells[1]
     assert problems(notebook) == ["widget state in the metadata", "the first code cell holds no imports"]
     assert problems(v4.new_notebook()) == ["the first code cell holds no imports"]
+
+
+def test_nbconvert_gives_a_screen_reader_the_alternative_text():
+    """Its template "classic" does; "lab", its default, does not read this metadata."""
+    html, _ = HTMLExporter(template_name="classic").from_notebook_node(sound())
+    assert re.findall("<img[^>]*>", html) == ["""<img alt='x &lt; "3"' src="data:image/png;base64,iVBORw0KGgo="/>"""]

@@ -8,6 +8,7 @@ import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection
 from matplotlib.colors import to_rgb
+from matplotlib.figure import Figure
 
 from vislam_edu import odometry, pipeline, plots, report_figures, se3, slam, style
 from vislam_edu.error_state import RightInvariant, RightPerturbation
@@ -106,23 +107,53 @@ def test_every_label_has_a_colour_and_lines_differ():
     assert len({style.COLOURS[m] for m in style.LABELS}) == len(style.LABELS)
 
 
-@pytest.mark.filterwarnings("ignore:InlineBackend:DeprecationWarning")  # matplotlib_inline's own
-def test_in_a_notebook_stored_pictures_carry_no_version(monkeypatch):
+@pytest.fixture
+def shell(monkeypatch):
+    """An IPython shell that is not running, as if it were the notebook's."""
     from IPython.core.interactiveshell import InteractiveShell
-    from matplotlib_inline.config import InlineBackend
 
     shell = InteractiveShell()
     monkeypatch.setattr(style, "_ipython", lambda: shell)
-    InlineBackend.clear_instance()
-    try:
-        style.use()
-        kwargs = InlineBackend.instance().print_figure_kwargs
-        assert kwargs == {"metadata": {"Software": None}, "bbox_inches": "tight"}
-        figure, _ = plots.new_figure()
-        png = shell.display_formatter.format(figure)[0]["image/png"]
-        assert b"Software" not in base64.b64decode(png)
-    finally:
-        InlineBackend.clear_instance()
+    return shell
+
+
+def test_a_notebook_stores_a_figure_without_versions_and_with_its_alternative_text(shell):
+    from IPython.core.pylabtools import print_figure
+
+    figure, axes = plots.new_figure()
+    axes.plot([0, 1], label="a line")
+    plots.finish(figure, "Found: 1")
+    data, metadata = shell.display_formatter.format(figure)
+    png = base64.b64decode(data["image/png"])
+    assert b"Software" not in png
+    assert png == print_figure(figure, metadata={"Software": None})  # what IPython would store by itself
+    assert data["text/plain"].startswith("<Figure size 750x")
+    assert metadata == {"image/png": {"alt": "Found: 1. a line."}}
+
+
+def test_alternative_text_says_title_scales_and_names_of_all_axes_that_are_shown():
+    figure = Figure()
+    figure.suptitle("Two of three")
+    first, second, hidden = figure.subplots(1, 3)
+    first.set(xlabel="time (s)", ylabel="error (m)")
+    first.set_title("Two lines\nof title", loc="left")
+    first.plot([0, 1], label="EKF")
+    first.axhspan(0, 1, label="95 % band")
+    first.plot([1, 0])
+    second.set(title="Only a title.")
+    hidden.set(title="nobody sees this", visible=False)
+    assert style.alt_text(figure) == (
+        "Two of three. Two lines of title. error (m) against time (s): EKF; 95 % band. Only a title."
+    )
+
+
+def test_every_figure_of_the_report_says_in_words_what_it_found_and_shows(result):
+    for draw in report_figures.FIGURES.values():
+        figure = draw(result)
+        title = figure.axes[0].get_title(loc="left").split("\n")[0]
+        alt = style.alt_text(figure)
+        assert alt.startswith(" ".join(title.split()))
+        assert all(text.get_text() in alt for text in figure.legends[0].get_texts())
 
 
 # --- geometry ---------------------------------------------------------------------------------------------

@@ -4,11 +4,14 @@ The colours of the trajectories differ in lightness too, so they stay apart in a
 colour-blind readers, and every method has a line style of its own.
 """
 
+import base64
+import io
 import sys
 from typing import Any
 
 import numpy as np
 from matplotlib import rc_context, rcParams
+from matplotlib.figure import Figure
 from scipy.stats import chi2
 
 COLOURS = {
@@ -100,15 +103,11 @@ PNG: dict[str, Any] = {"metadata": {"Software": None}}
 
 
 def use():
-    """Apply the style to matplotlib, and in a notebook also to the pictures that it stores."""
+    """Apply the style to matplotlib; in a notebook each Figure is then stored with its alternative text."""
     rcParams.update(_RC)
     shell = _ipython()
     if shell is not None:
-        from matplotlib_inline.config import InlineBackend
-
-        backend = InlineBackend.instance(parent=shell)
-        backend.shell = shell  # so that a Figure made without pyplot is shown as well
-        backend.print_figure_kwargs = {**PNG, "bbox_inches": "tight"}
+        shell.display_formatter.formatters["image/png"].for_type(Figure, _png_and_alt)
 
 
 def context():
@@ -120,6 +119,32 @@ def _ipython():
     """The running IPython shell, or None; IPython itself is not needed and not imported."""
     module = sys.modules.get("IPython")
     return module.get_ipython() if module else None
+
+
+def _png_and_alt(figure):
+    """A figure as IPython stores it: the PNG in base64, and the metadata of that output."""
+    file = io.BytesIO()
+    figure.savefig(file, format="png", dpi="figure", bbox_inches="tight", **PNG)
+    return base64.b64encode(file.getvalue()).decode(), {"alt": alt_text(figure)}
+
+
+def alt_text(figure) -> str:
+    """A figure in words, for a reader who cannot see it: its title, and for each axes what is plotted against what.
+
+    All words are the figure's own: titles, labels of the axes, names in the legend.
+    """
+    parts = [figure.get_suptitle(), *(_axes_in_words(axes) for axes in figure.axes if axes.get_visible())]
+    sentences = [part.rstrip(".") + "." for part in (" ".join(part.split()) for part in parts) if part]
+    return " ".join(sentences)
+
+
+def _axes_in_words(axes) -> str:
+    """The title of some axes; y against x: what is drawn there. Parts that are not there are left out."""
+    title = next(filter(None, map(axes.get_title, ("left", "center", "right"))), "")
+    scales = " against ".join(filter(None, [axes.get_ylabel(), axes.get_xlabel()]))
+    names = "; ".join(axes.get_legend_handles_labels()[1])
+    what = ": ".join(filter(None, [scales, names]))
+    return ". ".join(filter(None, [title, what]))
 
 
 def line(method):
