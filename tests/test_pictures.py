@@ -1,9 +1,9 @@
 """What the pictures show, read back from their artists and held against the histories they were made from."""
 
 import dataclasses
-import itertools
 
 import numpy as np
+import picture_checks
 import pytest
 from matplotlib.path import Path
 from scipy.stats import chi2, multivariate_normal
@@ -81,52 +81,10 @@ def distance2(points, mean, covariance):
 # --- all of them ---
 
 
-def test_nothing_is_too_small_to_read_outside_the_figure_or_over_other_lettering(pictures):
+@pytest.mark.parametrize("check", picture_checks.ALL, ids=lambda check: check.__name__)
+def test_what_every_picture_must_stand(check, pictures):
     for picture, states in pictures:
-        for state in states:
-            picture.png(**state)
-            renderer = picture.canvas.get_renderer()
-            texts = [t for t in _lettering(picture.figure) if t.get_visible() and t.get_text().strip()]
-            boxes = {}
-            for text in texts:
-                assert text.get_fontsize() >= 8, (picture.name, text.get_text())
-                box = text.get_window_extent(renderer)
-                boxes[text] = box.padded(-1)
-                corners = (
-                    (picture.figure.bbox.containsx(x) for x in box.intervalx),
-                    (picture.figure.bbox.containsy(y) for y in box.intervaly),
-                )
-                assert all(itertools.chain(*corners)), (picture.name, text.get_text())
-            for (a, box), (b, other) in itertools.combinations(boxes.items(), 2):
-                assert not box.overlaps(other), (picture.name, state, a.get_text(), b.get_text())
-
-
-def _lettering(figure):
-    """All texts that are drawn. Tick labels beyond the limits exist too, but are not."""
-    texts = list(figure.texts)
-    for axes in figure.axes:
-        texts += [*axes.texts, axes.title, axes._left_title, axes.xaxis.label, axes.yaxis.label]
-        texts += axes.get_legend().get_texts() if axes.get_legend() else []
-        for axis in (axes.xaxis, axes.yaxis):
-            low, high = sorted(axis.get_view_interval())
-            texts += [tick.label1 for tick in axis.get_major_ticks() if low <= tick.get_loc() <= high]
-    return texts
-
-
-def test_picture_depends_on_the_state_only_not_on_the_way_there(pictures):
-    for picture, states in pictures:
-        first = picture.png(**states[0])
-        for state in states[1:]:
-            assert picture.png(**state) != first, (picture.name, state)
-        assert picture.png(**states[0]) == first
-
-
-def test_every_picture_can_be_said_in_words_and_shown_in_its_widget(pictures):
-    for picture, states in pictures:
-        widget = Stepper(picture) if "i" in states[0] else Panel(picture)
-        assert picture.name in repr(widget)
-        assert len(picture.alt(**states[0])) > 100
-        assert picture.caption(**states[0]) != picture.caption(**states[1])
+        check(picture, states)
 
 
 # --- 01 ---

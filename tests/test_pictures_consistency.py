@@ -1,10 +1,10 @@
 """The pictures of chapters 06 and 07, read back from their artists and held against runs of the filter made here."""
 
 import dataclasses
-import itertools
 
 import ipywidgets
 import numpy as np
+import picture_checks
 import pytest
 from matplotlib.path import Path
 from scipy.spatial.transform import Rotation
@@ -17,7 +17,7 @@ from vislam_edu.pictures import tuning
 from vislam_edu.pictures.canvas import Decades
 from vislam_edu.pictures.tuning import TuningPicture
 from vislam_edu.pictures.two_filters import TwoFiltersPicture
-from vislam_edu.widgets import Panel, Stepper
+from vislam_edu.widgets import Panel
 
 NOISE = Noise()
 REPORT = {"sigma_v": 0.1, "sigma_omega": 0.00316, "sigma_px": 15**0.5, "report_birth": True}
@@ -62,47 +62,10 @@ def pictures(tuned, two):
 # --- both ---
 
 
-def test_lettering_is_readable_inside_the_figure_and_apart(pictures):
+@pytest.mark.parametrize("check", picture_checks.ALL, ids=lambda check: check.__name__)
+def test_what_every_picture_must_stand(check, pictures):
     for picture, states in pictures:
-        for state in states:
-            picture.png(**state)
-            renderer = picture.canvas.get_renderer()
-            boxes = {}
-            for text in _lettering(picture.figure):
-                if text.get_visible() and text.get_text().strip():
-                    assert text.get_fontsize() >= 8, (picture.name, text.get_text())
-                    boxes[text] = box = text.get_window_extent(renderer).padded(-1)
-                    inside = [picture.figure.bbox.containsx(x) for x in box.intervalx]
-                    inside += [picture.figure.bbox.containsy(y) for y in box.intervaly]
-                    assert all(inside), (picture.name, text.get_text())
-            for (a, box), (b, other) in itertools.combinations(boxes.items(), 2):
-                assert not box.overlaps(other), (picture.name, state, a.get_text(), b.get_text())
-
-
-def _lettering(figure):
-    """All texts that are drawn. Tick labels beyond the limits exist too, but are not."""
-    for axes in figure.axes:
-        yield from [*axes.texts, axes.title, axes._left_title, axes.xaxis.label, axes.yaxis.label]
-        yield from axes.get_legend().get_texts() if axes.get_legend() else []
-        for axis in (axes.xaxis, axes.yaxis):
-            low, high = sorted(axis.get_view_interval())
-            yield from (tick.label1 for tick in axis.get_major_ticks() if low <= tick.get_loc() <= high)
-
-
-def test_picture_depends_on_the_state_only_not_on_the_way_there(pictures):
-    for picture, states in pictures:
-        first = picture.png(**states[0])
-        for state in states[1:]:
-            assert picture.png(**state) != first, (picture.name, state)
-        assert picture.png(**states[0]) == first
-
-
-def test_both_can_be_said_in_words_and_shown_in_their_widget(pictures):
-    for picture, states in pictures:
-        widget = (Stepper if "i" in states[0] else Panel)(picture)
-        assert picture.name in repr(widget)
-        assert len(picture.alt(**states[0])) > 100
-        assert picture.caption(**states[0]) != picture.caption(**states[1])
+        check(picture, states)
 
 
 # --- tuning ---

@@ -1,8 +1,7 @@
 """What the museum's pictures show, read back from their artists."""
 
-import itertools
-
 import numpy as np
+import picture_checks
 import pytest
 from matplotlib.colors import to_hex
 
@@ -72,27 +71,9 @@ def test_the_slider_offers_every_mistake_and_says_its_numbers(picture, visits):
     assert len(pictures) == len(visits) - 1
 
 
-def test_picture_depends_on_the_piece_only(picture):
-    first = picture.png(piece=1)
-    assert picture.png(piece=3) != first
-    assert picture.png(piece=1) == first
-
-
-def test_lettering_is_large_enough_inside_and_apart(picture):
-    for piece in (1, 2, 3):
-        picture.png(piece=piece)
-        texts = [picture.title, picture.words]
-        for axes in picture.figure.axes:
-            texts += [axes._left_title, axes.xaxis.label, axes.yaxis.label]
-            texts += axes.get_legend().get_texts() if axes.get_legend() else []
-        texts = [text for text in texts if text.get_text()]
-        boxes = [text.get_window_extent(picture.canvas.get_renderer()) for text in texts]
-        assert min(text.get_fontsize() for text in texts) >= 8
-        for box in boxes:
-            assert picture.figure.bbox.containsx(box.x0), box
-            assert picture.figure.bbox.containsx(box.x1), box
-            assert picture.figure.bbox.containsy(box.y1), box
-        assert not any(a.overlaps(b) for a, b in itertools.combinations(boxes, 2))
+@pytest.mark.parametrize("check", picture_checks.ALL, ids=lambda check: check.__name__)
+def test_what_every_picture_must_stand(check, picture):
+    check(picture, [{"piece": piece} for piece in (1, 2, 3)])
 
 
 def test_one_visit_is_no_museum(visits, drive):

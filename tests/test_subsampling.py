@@ -1,6 +1,7 @@
 """The slider over the number of landmarks: what it shows is the filter run on that many."""
 
 import numpy as np
+import picture_checks
 import pytest
 
 from vislam_edu import simulate, slam
@@ -43,3 +44,10 @@ def test_each_share_is_filtered_once_and_stays_on_the_curve(panel):
     every, rms = picture.others.get_xydata().T
     assert {1, 5} <= set(every)
     np.testing.assert_allclose(rms, [picture.run(int(e)).rms for e in every])
+
+
+@pytest.mark.parametrize("check", [picture_checks.lettering_is_legible, picture_checks.can_be_said_and_shown],
+                         ids=lambda check: check.__name__)
+def test_what_every_picture_must_stand(check, panel):
+    """But one thing: this one remembers what has been tried."""
+    check(panel.picture, [{"every": every} for every in (1, 2, 10)])

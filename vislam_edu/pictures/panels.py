@@ -38,6 +38,20 @@ def legend(axes, handles, columns=9, **kwargs):
     )
 
 
+def legend_above(axes, handles, lines=1, x=0.0):
+    """A legend of one line or two between the axes and their title, which moves up. x : share of the axes' width."""
+    axes.set_title(axes.get_title("left"), fontsize=10, loc="left", pad=3 + 16 * lines, x=x)
+    return legend(axes, handles, columns=-(-len(handles) // lines), loc="lower left", bbox_to_anchor=(x, 1),
+                  frameon=False, borderaxespad=0)
+
+
+def image_axes(picture, rect, title):
+    """Axes at rect that are one camera's image, px; v points down."""
+    width, height = IMAGE_SIZE
+    return add_axes(picture, rect, title, xlim=(0, width), ylim=(height, 0), aspect="equal", anchor="W",
+                    facecolor="0.97")
+
+
 def phase_colour(updated):
     """Grey while the filter only predicts, blue once it has looked."""
     return COLOURS["posterior" if updated else "prior"]
@@ -115,18 +129,8 @@ class ImagePanel:
 
     def __init__(self, picture, rect, enlarged):
         self.enlarged = enlarged
-        width, height = IMAGE_SIZE
-        self.axes = add_axes(
-            picture,
-            rect,
-            f"Left image, px; predictions {enlarged} × as far from the measured pixel",
-            xlim=(0, width),
-            ylim=(height, 0),
-            aspect="equal",
-            anchor="W",
-            facecolor="0.97",
-        )
-        self.axes.set_title(self.axes.get_title("left"), fontsize=10, loc="left", pad=19)
+        title = f"Left image, px; predictions {enlarged} × as far from the measured pixel"
+        self.axes = image_axes(picture, rect, title)
         self.ellipses = self.axes.add_collection(
             PolyCollection([], facecolor="none", edgecolor=COLOURS["predicted"], lw=1.0, label="95 % ellipse of S"),
             autolim=False,
@@ -138,14 +142,7 @@ class ImagePanel:
         (self.measured,) = self.axes.plot([], [], "o", ms=3.5, color=COLOURS["measured"], label="measured")
         (self.chosen,) = self.axes.plot([], [], "o", ms=11, mew=1.5, mfc="none", mec=COLOURS["measured"])
         picture.moves(self.ellipses, self.arrows, self.predicted, self.measured, self.chosen)
-        legend(
-            self.axes,
-            [self.measured, self.predicted, self.arrows, self.ellipses],
-            loc="lower left",
-            bbox_to_anchor=(0, 1),
-            frameon=False,
-            borderaxespad=0,
-        )
+        legend_above(self.axes, [self.measured, self.predicted, self.arrows, self.ellipses])
 
     def draw(self, innovation, pixels, projected=None, chosen=()):
         """innovation : `kalman.Innovation`. pixels : (n, 4), all that was measured. chosen : (2,) or empty.

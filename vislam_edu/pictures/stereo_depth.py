@@ -4,10 +4,10 @@ import numpy as np
 from matplotlib.collections import LineCollection
 from matplotlib.path import Path
 
-from ..simulate import IMAGE_SIZE, kitti_camera
+from ..simulate import kitti_camera
 from ..style import COLOURS, ellipse_points
 from .canvas import Number, Picture
-from .panels import add_axes, legend
+from .panels import add_axes, image_axes, legend, legend_above
 
 DRAWS = 500
 NEAR, FAR = 4.0, 60.0  # m
@@ -59,15 +59,7 @@ class StereoDepthPicture(Picture):
         (self.ellipse,) = self.above.plot([], [], "-", lw=1.6, color=COLOURS["posterior"], label="95 % ellipse")
         (self.point,) = self.above.plot([], [], "+", ms=7, mew=1.2, color=COLOURS["truth"], label="true point")
         self.moves(self.rays, self.cloud, self.ellipse, self.point)
-        legend(
-            self.above,
-            [self.cloud, self.ellipse, self.point],
-            loc="lower left",
-            bbox_to_anchor=(0, 1),
-            frameon=False,
-            borderaxespad=0,
-        )
-        self.above.set_title(self.above.get_title("left"), fontsize=10, loc="left", pad=19)
+        legend_above(self.above, [self.cloud, self.ellipse, self.point])
 
         self.law = add_axes(
             self,
@@ -93,17 +85,7 @@ class StereoDepthPicture(Picture):
 
     def _build_image(self, side, bottom):
         """One camera's image, with the noise around its pixel magnified beside it."""
-        width, height = IMAGE_SIZE
-        axes = add_axes(
-            self,
-            (0.045, bottom, 0.29, 0.28),
-            f"{side} image, px",
-            xlim=(0, width),
-            ylim=(height, 0),
-            aspect="equal",
-            facecolor="0.97",
-            anchor="W",
-        )
+        axes = image_axes(self, (0.045, bottom, 0.29, 0.28), f"{side} image, px")
         (pixel,) = axes.plot([], [], "o", ms=5, color=COLOURS["measured"])
         zoom = add_axes(
             self,

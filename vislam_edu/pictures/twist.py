@@ -9,7 +9,7 @@ from matplotlib.path import Path
 from .. import odometry, se3
 from ..style import COLOURS, ellipse_points
 from .canvas import Number, Picture
-from .panels import add_axes, legend
+from .panels import add_axes, legend_above
 
 TAU = 0.5  # s, one IMU sample
 SAMPLES = 20
@@ -141,8 +141,7 @@ class Outcome:
         noise = PlanarNoise(SIGMA_V, sigma_omega)
         self.ends = integrate_noisy(self.twist, noise, normal[:samples])[:, :2, 3]
         # However it bends, an arc of length L stays between -0.22 L and L ahead and within 0.73 L to the
-        # sides, so the
-        # view need not move when omega does.
+        # sides, so the view need not move when omega does.
         speed = np.linalg.norm(self.twist[:3])
         self.reach = round_up(1.05 * max(speed * self.duration, 4 * SIGMA_V * self.duration))
         self.centre = 0.4 * self.reach * self.twist[:3] / max(speed, 1e-9)
@@ -191,16 +190,7 @@ class TwistPicture(Picture):
         self.ground, self.shadow, self.axis, self.triads = self.moves(*lines.values())
         self.moves(self.path, self.euler)
         self.grid = self.figure.text(0.02, 0.02, "", fontsize=9, color="0.35")  # changes only when the frame does
-        legend(
-            self.space,
-            [self.path, self.euler, self.axis, self.shadow],
-            columns=2,
-            loc="lower left",
-            bbox_to_anchor=(0, 1),
-            frameon=False,
-            borderaxespad=0,
-        )
-        self.space.set_title(self.space.get_title("left"), fontsize=10, loc="left", pad=35)
+        legend_above(self.space, [self.path, self.euler, self.axis, self.shadow], lines=2)
 
         self.above = add_axes(
             self,
@@ -218,16 +208,7 @@ class TwistPicture(Picture):
             [], [], "-", lw=1.8, color=COLOURS["posterior"], label="95 %: in exp coordinates"
         )
         self.moves(self.cloud, self.mean_path, self.plane, self.banana)
-        legend(
-            self.above,
-            [self.cloud, self.mean_path, self.plane, self.banana],
-            columns=2,
-            loc="lower left",
-            bbox_to_anchor=(-0.12, 1),
-            frameon=False,
-            borderaxespad=0,
-        )
-        self.above.set_title(self.above.get_title("left"), fontsize=10, loc="left", pad=35, x=-0.1)
+        legend_above(self.above, [self.cloud, self.mean_path, self.plane, self.banana], lines=2, x=-0.12)
 
     def draw(self, **state):
         """Show the twist [v, omega] of the sliders integrated for so many samples of the IMU."""
