@@ -6,6 +6,7 @@ by F, noise enters by N, pixels change by H, a newborn inherits G) is checked by
 
 import numpy as np
 import pytest
+from numerical import central_difference
 
 from vislam_edu import motion, se3, simulate, slam
 from vislam_edu.error_state import RightInvariant, RightPerturbation
@@ -41,11 +42,6 @@ def error_of(estimate, true, error_state):
         error_state.pose_difference(true.world_T_imu, estimate.world_T_imu), true.motion - estimate.motion])
 
 
-def central(function, size, h=1e-5):
-    columns = [(function(h * e) - function(-h * e)) / (2 * h) for e in np.eye(size)]
-    return np.stack(columns, axis=-1)
-
-
 def assert_same(analytic, numeric):
     np.testing.assert_allclose(analytic, numeric, atol=1e-6 * max(1.0, np.abs(numeric).max()), rtol=0)
 
@@ -73,8 +69,8 @@ def test_imu_driven_transition(drive, error_state):
         return error_of(after, Belief(T, true.landmarks, true.ids, before.covariance), error_state)
 
     d = 3 * N + 6
-    assert_same(dense(transition, 3 * N, "F"), central(lambda x: moved(x, 0.0), d))
-    assert_same(dense(transition, 3 * N, "N"), central(lambda n: moved(np.zeros(d), n), 6))
+    assert_same(dense(transition, 3 * N, "F"), central_difference(lambda x: moved(x, 0.0), d))
+    assert_same(dense(transition, 3 * N, "N"), central_difference(lambda n: moved(np.zeros(d), n), 6))
 
 
 @pytest.mark.parametrize("error_state", BOTH)
@@ -88,7 +84,7 @@ def test_twist_and_bias_transition(drive, error_state):
         T = true.world_T_imu @ se3.exp(drive.taus[5] * true.motion[:6])
         return error_of(after, Belief(T, true.landmarks, true.ids, before.covariance, true.motion), error_state)
 
-    assert_same(dense(transition, 3 * N, "F"), central(moved, 3 * N + 15))
+    assert_same(dense(transition, 3 * N, "F"), central_difference(moved, 3 * N + 15))
 
 
 @pytest.mark.parametrize("error_state", BOTH)
@@ -115,7 +111,7 @@ def test_measurement_jacobians(drive, error_state):
         return slam.reduce_rows(drive.camera.observe(true.world_T_imu, true.landmarks[rows])[0]).ravel()
 
     H = slam.times_H(np.eye(3 * N + 6), rows, H_l, H_p, N)
-    assert_same(H, central(seen, 3 * N + 6))
+    assert_same(H, central_difference(seen, 3 * N + 6))
 
 
 @pytest.mark.parametrize("error_state", BOTH)
@@ -130,8 +126,8 @@ def test_birth(drive, error_state):
         born = se3.transform(true.world_T_imu, s + noise)
         return error_state.landmark_difference(true.world_T_imu, estimate.world_T_imu, born, new)
 
-    assert_same(G, central(lambda x: inherited(x, np.zeros(3)), 6))
-    assert_same(np.broadcast_to(A, (2, 3, 3)), central(lambda n: inherited(np.zeros(6), n), 3))
+    assert_same(G, central_difference(lambda x: inherited(x, np.zeros(3)), 6))
+    assert_same(np.broadcast_to(A, (2, 3, 3)), central_difference(lambda n: inherited(np.zeros(6), n), 3))
 
 
 @pytest.mark.parametrize("error_state", BOTH)
@@ -148,7 +144,7 @@ def test_errors_in_metres_for_maps(drive, error_state):
     C = np.zeros((N, 3, 6)) if C is None else C
     expected = np.block([[np.eye(3 * N), C.reshape(-1, 6)],
                          [np.zeros((6, 3 * N)), error_state.world_pose(estimate.world_T_imu)]])
-    assert_same(expected, central(metres, 3 * N + 6))
+    assert_same(expected, central_difference(metres, 3 * N + 6))
 
 
 @pytest.mark.parametrize("error_state", BOTH)

@@ -4,6 +4,7 @@ import functools
 
 import numpy as np
 import pytest
+from numerical import central_difference
 
 from vislam_edu import observability, se3, simulate, slam
 from vislam_edu.error_state import RightInvariant, RightPerturbation
@@ -39,14 +40,13 @@ def test_global_directions_are_the_error_of_a_moved_world(error_state):
     """By central differences of the error's own definition, with car and map moved as one."""
     rng = np.random.default_rng(1)
     T, landmarks = se3.exp(rng.normal(size=6)), rng.normal(size=(4, 3)) * 10
-    h = 1e-5
 
     def error(xi):
         moved_T, moved = se3.exp(xi) @ T, se3.transform(se3.exp(xi), landmarks)
         return np.concatenate([error_state.landmark_difference(moved_T, T, moved, landmarks).ravel(),
                                error_state.pose_difference(moved_T, T)])
 
-    numeric = np.stack([(error(h * e) - error(-h * e)) / (2 * h) for e in np.eye(6)], axis=-1)
+    numeric = central_difference(error, 6)
     np.testing.assert_allclose(observability.global_directions(error_state, T, landmarks), numeric, atol=1e-7)
 
 

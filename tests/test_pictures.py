@@ -6,6 +6,7 @@ import numpy as np
 import picture_checks
 import pytest
 from matplotlib.path import Path
+from numerical import central_difference
 from scipy.stats import chi2, multivariate_normal
 
 from vislam_edu import mapping, odometry, pipeline, se3, simulate, slam
@@ -341,12 +342,11 @@ def test_joint_nis_is_that_of_all_four_numbers_less_their_pure_noise(drive, join
 @pytest.mark.parametrize("error_state", [RightPerturbation(), RightInvariant()])
 def test_world_covariance_of_the_landmarks_against_central_differences(drive, error_state):
     belief = list(slam.run(drive.slice(0, 20), NOISE, error_state))[-1].posterior
-    d, step = len(belief.covariance), 1e-6
 
     def landmarks(delta):
         return error_state.retract(belief.world_T_imu, belief.landmarks, delta)[1].ravel()
 
-    J = np.column_stack([(landmarks(step * e) - landmarks(-step * e)) / (2 * step) for e in np.eye(d)])
+    J = central_difference(landmarks, len(belief.covariance))
     full = J @ belief.covariance @ J.T
     expected = [full[3 * j : 3 * j + 3, 3 * j : 3 * j + 3] for j in range(len(belief.ids))]
     np.testing.assert_allclose(pipeline.world_landmark_covariance(belief, error_state), expected, rtol=1e-6, atol=1e-9)

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numerical import central_difference
 from numpy.testing import assert_allclose
 from scipy.stats import chi2
 
@@ -31,16 +32,6 @@ def scene(seed, shape=()):
     rng = np.random.default_rng(seed)
     world_T_imu = se3.exp(np.concatenate([rng.uniform(-50, 50, 3), rng.uniform(-1.7, 1.7, 3)]))
     return world_T_imu, CAMERA.to_world(world_T_imu, points_in_view(rng, shape))
-
-
-def central_difference(function, size, step):
-    """Derivative at zero by five points: (..., m, size)."""
-
-    def along(e):
-        near, far = function(step * e) - function(-step * e), function(2 * step * e) - function(-2 * step * e)
-        return (8 * near - far) / (12 * step)
-
-    return np.stack([along(e) for e in np.eye(size)], axis=-1)
 
 
 def assert_jacobian(analytic, numerical, relative=1e-7):

@@ -21,6 +21,8 @@ from pathlib import Path
 
 from tqdm import tqdm
 
+from .files import replacing
+
 NOTEBOOKS = Path(__file__).resolve().parents[1] / "notebooks"
 AT_ONCE = 2
 CELL_TIMEOUT = 600  # s
@@ -172,13 +174,6 @@ def _to_text(notebook):
     return nbformat.writes(nbformat.from_dict(notebook)) + "\n"
 
 
-def _write(path, text):
-    """Whole or not at all: an interrupted write must not cost a notebook."""
-    scratch = path.with_name(f".{path.name}.part")
-    scratch.write_text(text, encoding="utf-8", newline="\n")
-    os.replace(scratch, path)
-
-
 def _run_all(paths):
     """Yield a Run or a NotebookError for each notebook as it ends, with a progress bar."""
     pool = ThreadPoolExecutor(AT_ONCE)
@@ -223,7 +218,8 @@ def main(argv: list[str] | None = None) -> int:
             changed += 1
             tqdm.write(f"{'differs' if arguments.check else 'changed'}: {outcome.path}: {outcome.change}")
             if not arguments.check:
-                _write(outcome.path, outcome.text)
+                with replacing(outcome.path) as file:
+                    file.write(outcome.text.encode())
     if arguments.timings:
         for path in sorted(seconds):
             print(f"{seconds[path]:6.1f} s  {path.name}")

@@ -11,7 +11,7 @@ def differs(exercise, outcome, expected) -> str:
     names = exercise.outputs or ("",)
     for name, came, should in zip(names, outcome.values, expected):
         if came.shape != should.shape:
-            return _shapes(exercise, outcome, name, came, should)
+            return _shapes(exercise, name, came, should)
     tolerance = exercise.tolerance if outcome.precise else max(exercise.tolerance, ROUGH)
     compared = zip(names, canonical(exercise, outcome.values), canonical(exercise, expected))
     return next((_numbers(name, came, should) for name, came, should in compared
@@ -34,7 +34,7 @@ def close(came, should, tolerance) -> bool:
     return bool(np.all(np.abs(came[finite] - should[finite]) <= tolerance * scale))
 
 
-def _shapes(exercise, outcome, name, came, should) -> str:
+def _shapes(exercise, name, came, should) -> str:
     text = f"{name or 'the result'} has shape {came.shape}; it should be {should.shape}"
     if came.shape == should.shape[::-1] and close(came.T, should, exercise.tolerance):
         return text + ". The numbers are right, but transposed."

@@ -3,15 +3,14 @@
 import numpy as np
 from matplotlib.collections import LineCollection
 from matplotlib.patches import Polygon
-from scipy.stats import norm
 
 from .. import kalman, se3
+from ..plots import TWO_SIDED_95
 from ..style import COLOURS, ellipse_points
 from .canvas import StepPicture
 from .panels import ImagePanel, MapPanel, TimePanel, add_axes, legend, nis_band, phase_colour
 
 WEDGE = 60  # a heading is known to a fraction of a degree: drawn true, the wedge would be a line
-TWO_SIDED = norm.ppf(0.975)  # 1.96
 NEAR = 30.0  # cm, half the side of the magnified view
 
 
@@ -181,7 +180,7 @@ class LocalisationPicture(StepPicture):
         """What the frame did to the pose."""
         step, updated = self.step(i)
         belief = self.belief(i)
-        forward, left = 100 * TWO_SIDED * np.sqrt(np.diag(belief.covariance)[:2])
+        forward, left = 100 * TWO_SIDED_95 * np.sqrt(np.diag(belief.covariance)[:2])
         known = (
             f" 95 % of each alone: forward ± {forward:.1f} cm, left ± {left:.1f} cm, "
             f"heading ± {np.rad2deg(heading_half_width(belief)):.2f}°."
@@ -209,7 +208,7 @@ class LocalisationPicture(StepPicture):
 
 def heading_half_width(belief):
     """Half the 95 % interval of the heading, rad: 1.96 sigma of the rotation about the body's z axis."""
-    return TWO_SIDED * np.sqrt(belief.covariance[5, 5])
+    return TWO_SIDED_95 * np.sqrt(belief.covariance[5, 5])
 
 
 def _wedge(at, heading, half_width, radius=0.8 * NEAR):
