@@ -95,6 +95,10 @@ def test_gallery_has_a_map_for_each_and_counts_who_is_lost(visits, drive):
     assert f"{sum(seen.lost for seen in visits)} of {len(visits)}" in figure.get_suptitle()
 
 
+def test_gallery_is_large_enough_to_read(visits, drive):
+    picture_checks.is_large_enough(gallery(visits, drive))
+
+
 def test_view_is_a_square_around_the_true_path(drive):
     x0, x1, y0, y1 = view(drive)
     x, y = drive.true_world_T_imu[:, :2, 3].T

@@ -4,6 +4,7 @@ import base64
 import itertools
 
 import numpy as np
+import picture_checks
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection
@@ -92,13 +93,38 @@ PROTANOPIA = np.array([[0.152286, 1.052583, -0.204868], [0.114503, 0.786281, 0.0
                        [-0.003882, -0.048116, 1.051998]])
 
 
-@pytest.mark.parametrize("seen_as", [None, DEUTERANOPIA, PROTANOPIA],
-                         ids=["grey", "deuteranopia", "protanopia"])
-def test_methods_that_share_a_map_differ_in_lightness(seen_as):
-    methods = ["truth", "invariant", "slam", "report", "dead_reckoning"]
-    for a, b in itertools.combinations(methods, 2):
-        apart = abs(lightness(style.COLOURS[a], seen_as) - lightness(style.COLOURS[b], seen_as))
-        assert apart > 8, f"{a} and {b} are {apart:.1f} apart"
+TRITANOPIA = np.array([[1.255528, -0.076749, -0.178779], [-0.078411, 0.930809, 0.147602],
+                       [0.004733, 0.691367, 0.303900]])
+VISIONS = {"grey": None, "deuteranopia": DEUTERANOPIA, "protanopia": PROTANOPIA, "tritanopia": TRITANOPIA}
+SHARED = [  # by the lines or dots of a map, by the bars or marks of a stepper
+    ("truth", "invariant", "slam", "report", "dead_reckoning"),
+    ("truth", "mapping", "dead_reckoning", "slam"),
+    ("truth", "mapping", "dead_reckoning", "invariant"),
+    ("accepted", "rejected"),
+    ("accepted", "invariant"),
+    ("accepted", "slam"),
+    ("measured", "predicted"),
+    ("measured", "rejected"),
+    ("measured", "smoother"),
+    ("prior", "posterior"),
+]
+
+
+def apart(a, b):
+    """Least difference in lightness of two of the style's colours, whoever looks."""
+    a, b = style.COLOURS[a], style.COLOURS[b]
+    return min(abs(lightness(a, seen_as) - lightness(b, seen_as)) for seen_as in VISIONS.values())
+
+
+@pytest.mark.parametrize("names", SHARED, ids="-".join)
+def test_colours_that_share_a_picture_differ_in_lightness_in_grey_and_for_the_colour_blind(names):
+    for a, b in itertools.combinations(names, 2):
+        assert apart(a, b) > 8, f"{a} and {b} are {apart(a, b):.1f} apart"
+
+
+def test_every_two_methods_differ_in_lightness_or_in_line_style():
+    for a, b in itertools.combinations(style.LABELS, 2):
+        assert apart(a, b) > 8 or style.LINESTYLES[a] != style.LINESTYLES[b], (a, b)
 
 
 def test_every_label_has_a_colour_and_lines_differ():
@@ -291,8 +317,7 @@ def test_figure_is_readable(result, name):
     assert page.x0 <= whole.x0 < whole.x1 <= page.x1
     assert page.x0 <= below.x0 < below.x1 <= page.x1
     assert page.y0 <= below.y0 < below.y1 < whole.y0 < whole.y1 <= page.y1
-    texts = [axes.xaxis.label, axes.yaxis.label, axes.title, *legend.get_texts(), *axes.get_xticklabels()]
-    assert min(t.get_fontsize() for t in texts) >= 9
+    picture_checks.is_large_enough(figure)
     truth = labelled(axes, "ground truth")
     np.testing.assert_array_equal(truth, result.drive.true_world_T_imu[:, :2, 3])
     assert lines(axes)["ground truth"].get_color() == "#000000"

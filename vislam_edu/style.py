@@ -1,7 +1,7 @@
 """One look for every picture of the series: a method keeps its colour and its line from the first chapter on.
 
-The colours of the trajectories differ in lightness too, so they stay apart in a grey print and for
-colour-blind readers, and every method has a line style of its own.
+Colours that share a picture differ in lightness too, so they stay apart in a grey print and for colour-blind
+readers, or else in line style. What is drawn as an Image in a notebook is also said in words, see `alt_text`.
 """
 
 import base64
@@ -18,7 +18,7 @@ COLOURS = {
     # who says it: trajectories and maps
     "truth": "#000000",
     "dead_reckoning": "#E0B040",
-    "mapping": "#117733",
+    "mapping": "#3FA560",
     "localize": "#882255",
     "report": "#409DB0",
     "slam": "#B5485E",
@@ -27,7 +27,7 @@ COLOURS = {
     # what it is: pixels, innovations, verdicts
     "measured": "#EE7733",
     "predicted": "#0055AA",
-    "accepted": "#117733",
+    "accepted": "#3FA560",
     "rejected": "#CC3311",
     "prior": "#8C8C8C",
     "posterior": "#004488",
@@ -91,6 +91,7 @@ _RC: dict[Any, Any] = {
     "axes.spines.right": False,
     "axes.grid": True,
     "axes.axisbelow": True,
+    "axes.formatter.min_exponent": 6,  # on logarithmic scales 100, not 10², whose exponent is too small to read
     "grid.color": "0.9",
     "grid.linewidth": 0.8,
     "lines.linewidth": 1.6,
@@ -133,7 +134,8 @@ def alt_text(figure) -> str:
 
     All words are the figure's own: titles, labels of the axes, names in the legend.
     """
-    parts = [figure.get_suptitle(), *(_axes_in_words(axes) for axes in figure.axes if axes.get_visible())]
+    shared = _scales(figure.get_supylabel(), figure.get_supxlabel())
+    parts = [figure.get_suptitle(), shared, *(_axes_in_words(axes) for axes in figure.axes if axes.get_visible())]
     sentences = [part.rstrip(".") + "." for part in (" ".join(part.split()) for part in parts) if part]
     return " ".join(sentences)
 
@@ -141,10 +143,13 @@ def alt_text(figure) -> str:
 def _axes_in_words(axes) -> str:
     """The title of some axes; y against x: what is drawn there. Parts that are not there are left out."""
     title = next(filter(None, map(axes.get_title, ("left", "center", "right"))), "")
-    scales = " against ".join(filter(None, [axes.get_ylabel(), axes.get_xlabel()]))
     names = "; ".join(axes.get_legend_handles_labels()[1])
-    what = ": ".join(filter(None, [scales, names]))
+    what = ": ".join(filter(None, [_scales(axes.get_ylabel(), axes.get_xlabel()), names]))
     return ". ".join(filter(None, [title, what]))
+
+
+def _scales(y, x) -> str:
+    return " against ".join(filter(None, [y, x]))
 
 
 def line(method):

@@ -8,10 +8,11 @@ from ..error_state import RightPerturbation
 from ..pipeline import world_landmark_covariance
 from ..style import COLOURS
 from .canvas import StepPicture, Switch
-from .panels import MapPanel, TimePanel, add_axes, legend, nis_band
+from .panels import LETTERING, MapPanel, TimePanel, add_axes, legend, nis_band
 
 AXIS = 0  # of the pose error [x, y, z, roll, pitch, yaw]: along the road, which stereo knows least about
 YAW = 5
+RETIRED = (0, (0.5, 0.5))  # line style of the mark of a landmark that leaves the state
 
 
 def correlation(covariance):
@@ -125,10 +126,10 @@ class JointPicture(StepPicture):
         self.marks = self.matrix.add_collection(LineCollection([], lw=4), autolim=False)
         self.moves(self.image, self.blocks, self.pose_lines, self.marks)
         bar = self.figure.colorbar(self.image, cax=self.figure.add_axes((0.325, 0.075, 0.012, 0.2)))
-        bar.ax.tick_params(labelsize=8.5)
+        bar.ax.tick_params(labelsize=LETTERING)
         bar.outline.set_visible(False)
         (born,) = self.matrix.plot([], [], lw=4, color=COLOURS["accepted"], label="born in this frame")
-        (leaves,) = self.matrix.plot([], [], lw=4, color=COLOURS["rejected"], label="retired next")
+        (leaves,) = self.matrix.plot([], [], lw=4, ls=RETIRED, color=COLOURS["rejected"], label="retired next")
         legend(
             self.matrix,
             [self.pose_lines, born, leaves],
@@ -214,6 +215,7 @@ class JointPicture(StepPicture):
         rows = np.flatnonzero(born | leaving)
         self.marks.set_segments([[(-1.5, 3 * row + 0.3), (-1.5, 3 * row + 2.7)] for row in rows])
         self.marks.set_color([COLOURS["rejected" if leaving[row] else "accepted"] for row in rows])
+        self.marks.set_linestyle([RETIRED if leaving[row] else "-" for row in rows] or "-")
 
     def caption(self, i, drop=False):
         """What the frame did to the joint belief."""

@@ -3,15 +3,15 @@
 import numpy as np
 from matplotlib.figure import Figure
 
-from .. import metrics, style
+from .. import metrics, plots, style
 from ..style import COLOURS
 from .canvas import Number, Picture
-from .panels import add_axes, legend
+from .panels import LETTERING, add_axes, legend_above
 
-LIMITS = {"error": (0.01, 300), "nis": (0.5, 1e5), "nees": (0.1, 1e7)}
+LIMITS = {"error": (0.01, 300), "nis": (0.5, 1e5), "nees": (0.1, 3e5)}
 TITLES = {
     "error": "Distance from the truth, m",
-    "nis": "NIS of a measurement, mean of a frame; dashed: 4",
+    "nis": "NIS of a measurement, mean of a frame; dotted: 4",
     "nees": "NEES of the pose; green: its 95 % band",
 }
 
@@ -25,31 +25,28 @@ def view(drive, margin=0.15):
     return x - half, x + half, y - half, y + half
 
 
-def gallery(visits, drive, columns=5) -> Figure:
+def gallery(visits, drive, columns=4) -> Figure:
     """All paths from above, one small map each, truth black; a path that leaves its map has left the street.
 
     visits : sequence of `museum_drives.Visit`. drive : the `Drive` they made, with truth.
     """
     rows = -(-len(visits) // columns)
     with style.context():
-        figure = Figure(figsize=(9.5, 2.45 * rows))
+        figure = Figure(figsize=(plots.WIDTH, 2.1 * rows))
         axes = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
         x0, x1, y0, y1 = view(drive)
         for place, visit in zip(axes.flat, visits):
             place.plot(*drive.true_world_T_imu[:, :2, 3].T, color=COLOURS["truth"], lw=2.4)
-            place.plot(*visit.world_T_imu[:, :2, 3].T, color=_colour(visit), lw=1.2)
+            place.plot(*visit.world_T_imu[:, :2, 3].T, color=_colour(visit), lw=1.2, ls="--" if visit.lost else "-")
             words = "{}\nNIS {}, NEES {}".format(visit.title, *visit.numbers[1:])
             place.set_title(words, fontsize=8.5, color=_colour(visit))
             place.set(xlim=(x0, x1), ylim=(y0, y1), aspect="equal")
-            place.tick_params(labelsize=8)
         for place in axes.flat[len(visits):]:
             place.set_visible(False)
-        for place in axes[-1]:
-            place.set_xlabel("x, m", fontsize=9)
-        for place in axes[:, 0]:
-            place.set_ylabel("y, m", fontsize=9)
+        figure.supxlabel("x, m", fontsize="medium")
+        figure.supylabel("y, m", fontsize="medium")
         lost = sum(visit.lost for visit in visits)
-        figure.suptitle(f"{lost} of {len(visits)} filters lose the street (red); truth black",
+        figure.suptitle(f"{lost} of {len(visits)} filters lose the street (red, dashed); truth black",
                         fontsize=11, x=0.01, ha="left")
     return figure
 
@@ -83,26 +80,25 @@ class MuseumPicture(Picture):
                             xlim=(x0, x1), ylim=(y0, y1))
         red = COLOURS["rejected"]
         self.title = self.moves(self.figure.text(0.07, 0.945, "", fontsize=12, weight="bold", color=red))
-        self.words = self.moves(self.figure.text(0.07, 0.9, "", fontsize=9.5))
+        self.words = self.moves(self.figure.text(0.07, 0.9, "", fontsize=LETTERING))
         truth = self.map.plot(*self.drive.true_world_T_imu[:, :2, 3].T, color=COLOURS["truth"], lw=2.6, label="truth")
         good = self.map.plot(*right.world_T_imu[:, :2, 3].T, color=COLOURS["predicted"], lw=1.2, label="right filter")
         (self.path,) = self.map.plot([], [], color=red, lw=1.6, ls="--", label="with the mistake")
         self.moves(self.path)
-        legend(self.map, [*truth, *good, self.path], loc="lower left", bbox_to_anchor=(0, 1.05), frameon=False,
-               borderaxespad=0)
+        legend_above(self.map, [*truth, *good, self.path])
         self.lines = {}
         for kind, bottom in (("error", 0.74), ("nis", 0.415), ("nees", 0.09)):
             axes = add_axes(self, (0.57, bottom, 0.41, 0.205), TITLES[kind], xlim=(0, times[-1]), yscale="log",
                             ylim=LIMITS[kind])
             axes.plot(times, getattr(right, kind), color=COLOURS["predicted"], lw=1.2)
-            (line,) = axes.plot([], [], color=red, lw=1.4)
+            (line,) = axes.plot([], [], color=red, lw=1.4, ls="--")
             self.lines[kind] = self.moves(line)
             if kind == "nis":
-                axes.axhline(4, color=COLOURS["expected"], ls="--", lw=1.0)
+                axes.axhline(4, color=COLOURS["expected"], ls=":", lw=1.4)
             if kind == "nees":
                 band = metrics.chi2_band(6, probability=0.95)
                 axes.axhspan(*band, color=COLOURS["accepted"], alpha=0.25, linewidth=0)
-                axes.set_xlabel("time, s", fontsize=9)
+                axes.set_xlabel("time, s", fontsize=LETTERING)
         self.times = times
 
     def draw(self, piece):

@@ -8,16 +8,18 @@ from scipy.stats import chi2
 from ..simulate import IMAGE_SIZE
 from ..style import COLOURS, ellipse_points
 
+# Points. GitHub shows a picture of 1000 px 830 px wide, where lettering of 9.5 points measures 8.2.
+TITLE, LETTERING = 10, 9.5
 CAR = np.array([[2.2, 0.0], [-1.4, 1.2], [-1.4, -1.2]])  # m, body x and y: an arrow head, nose forward
 
 
 def add_axes(picture, rect, title, xlabel="", ylabel="", **kwargs):
     """Axes at rect (left, bottom, width, height as shares of the figure) with small lettering."""
     axes = picture.figure.add_axes(rect, **kwargs)
-    axes.set_title(title, fontsize=10, loc="left")
-    axes.set_xlabel(xlabel, fontsize=9)
-    axes.set_ylabel(ylabel, fontsize=9)
-    axes.tick_params(labelsize=8.5)
+    axes.set_title(title, fontsize=TITLE, loc="left")
+    axes.set_xlabel(xlabel, fontsize=LETTERING)
+    axes.set_ylabel(ylabel, fontsize=LETTERING)
+    axes.tick_params(labelsize=LETTERING)
     return axes
 
 
@@ -27,7 +29,7 @@ def legend(axes, handles, columns=9, **kwargs):
     return axes.legend(
         handles=handles,
         ncols=columns,
-        fontsize=8.5,
+        fontsize=LETTERING,
         framealpha=0.85,
         handlelength=1.6,
         handletextpad=0.5,
@@ -40,7 +42,7 @@ def legend(axes, handles, columns=9, **kwargs):
 
 def legend_above(axes, handles, lines=1, x=0.0):
     """A legend of one line or two between the axes and their title, which moves up. x : share of the axes' width."""
-    axes.set_title(axes.get_title("left"), fontsize=10, loc="left", pad=3 + 16 * lines, x=x)
+    axes.set_title(axes.get_title("left"), fontsize=TITLE, loc="left", pad=3 + 16 * lines, x=x)
     return legend(axes, handles, columns=-(-len(handles) // lines), loc="lower left", bbox_to_anchor=(x, 1),
                   frameon=False, borderaxespad=0)
 
@@ -132,7 +134,7 @@ class ImagePanel:
         title = f"Left image, px; predictions {enlarged} × as far from the measured pixel"
         self.axes = image_axes(picture, rect, title)
         self.ellipses = self.axes.add_collection(
-            PolyCollection([], facecolor="none", edgecolor=COLOURS["predicted"], lw=1.0, label="95 % ellipse of S"),
+            PolyCollection([], facecolor="none", edgecolor=COLOURS["predicted"], lw=1.0, label="95 % of S"),
             autolim=False,
         )
         self.arrows = self.axes.add_collection(
@@ -155,6 +157,7 @@ class ImagePanel:
         self.ellipses.set_verts(ellipse_points(far, self.enlarged**2 * innovation.covariance[:, :2, :2]))
         self.arrows.set_segments(np.stack([far, measured], axis=1))
         self.arrows.set_color([COLOURS["accepted" if good else "rejected"] for good in innovation.accepted])
+        self.arrows.set_linestyle(["-" if good else ":" for good in innovation.accepted] or "-")
         self.predicted.set_data(*(measured + self.enlarged * (projected - measured)).T)
         self.measured.set_data(*pixels[:, :2].T)
         self.chosen.set_data(*np.reshape(chosen, (-1, 2)).T)

@@ -72,7 +72,7 @@ class StereoDepthPicture(Picture):
         )
         self.depths = np.linspace(0, FAR + 3, 120)
         (self.curve,) = self.law.plot(
-            [], [], "-", lw=1.6, color=COLOURS["posterior"], label=r"$z^2/(f\,b)\;\sqrt{2}\,\sigma$"
+            [], [], "-", lw=1.6, color=COLOURS["posterior"], label="z² / (f b) √2 σ"
         )
         (self.here,) = self.law.plot(
             [], [], "o", ms=8, mfc="white", mew=1.6, color=COLOURS["posterior"], label="this depth"

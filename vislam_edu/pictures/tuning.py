@@ -12,7 +12,7 @@ from ..pipeline import right_pose_covariance
 from ..style import COLOURS, ellipse_points, two_digits
 from .canvas import Decades, Number, Picture, Switch
 from .joint import frame_nis
-from .panels import add_axes, legend, nis_band
+from .panels import LETTERING, TITLE, add_axes, legend, nis_band
 
 LEFT, YAW = 1, 5  # of the pose error: across the road, where an error of the heading shows, and the heading
 ELLIPSES = 6
@@ -123,14 +123,14 @@ class TuningPicture(Picture):
             (0.55, 0.085, 0.43, 0.16), "NIS of a frame / its degrees of freedom, honest: 1", times,
             nis_band(numbers), 1, (0.01, 300)
         )
-        self.nis[0].axes.set_xlabel("time, s", fontsize=9)
+        self.nis[0].axes.set_xlabel("time, s", fontsize=LETTERING)
 
     def _build_map(self):
         truth = self.drive.true_world_T_imu
         dead = odometry.dead_reckon(self.drive, self.noise, self.world_T_imu).world_T_imu
         self.map = add_axes(self, (0.06, 0.085, 0.42, 0.8), "", "x, m", "y, m", aspect="equal", adjustable="datalim")
         title = f"From above; errors and 95 % ellipses {ENLARGED} × as large"
-        self.map.set_title(title, fontsize=10, loc="left", pad=22)
+        self.map.set_title(title, fontsize=TITLE, loc="left", pad=22)
         black = self.map.plot(*truth[:, :2, 3].T, color=COLOURS["truth"], lw=1.2, label="truth")
         yellow = self.map.plot(
             *self._enlarged(dead).T, color=COLOURS["dead_reckoning"], lw=1.4, ls=(0, (1, 1)), label="IMU alone"
@@ -167,7 +167,7 @@ class TuningPicture(Picture):
         axes.fill_between(times, *band, color=COLOURS["accepted"], alpha=0.2, linewidth=0)
         axes.axhline(honest, color=COLOURS["accepted"], lw=0.8)
         (line,) = axes.plot(times, np.ones_like(times), color=COLOURS["slam"], lw=1.2)
-        words = axes.text(0.985, 0.9, "", fontsize=8.5, ha="right", va="top", transform=axes.transAxes,
+        words = axes.text(0.985, 0.9, "", fontsize=LETTERING, ha="right", va="top", transform=axes.transAxes,
                           bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 1.5})
         return self.moves(line, words)
 

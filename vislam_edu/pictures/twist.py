@@ -9,7 +9,7 @@ from matplotlib.path import Path
 from .. import odometry, se3
 from ..style import COLOURS, ellipse_points
 from .canvas import Number, Picture
-from .panels import add_axes, legend_above
+from .panels import LETTERING, add_axes, legend_above
 
 TAU = 0.5  # s, one IMU sample
 SAMPLES = 20
@@ -189,7 +189,7 @@ class TwistPicture(Picture):
         (self.euler,) = self.space.plot([], [], "o--", lw=1.4, ms=3.5, color=COLOURS["measured"], label="Euler")
         self.ground, self.shadow, self.axis, self.triads = self.moves(*lines.values())
         self.moves(self.path, self.euler)
-        self.grid = self.figure.text(0.02, 0.02, "", fontsize=9, color="0.35")  # changes only when the frame does
+        self.grid = self.figure.text(0.02, 0.02, "", fontsize=LETTERING, color="0.35")  # stays with the frame
         legend_above(self.space, [self.path, self.euler, self.axis, self.shadow], lines=2)
 
         self.above = add_axes(
