@@ -29,7 +29,7 @@ def test_every_landmark_is_what_the_dense_filter_says_at_the_end(drive, measure)
     final = smoother.final_map(drive, NOISE, measure=measure)
     assert len(full.ids) >= 200
     assert rejected > 20
-    np.testing.assert_array_equal(np.flatnonzero(final.used), full.ids)
+    np.testing.assert_array_equal(np.flatnonzero(final.seen), full.ids)
     # 1e-8 m; rtol is for outliers that the filter puts half a kilometre away, known to hundreds of metres
     np.testing.assert_allclose(final.landmarks[full.ids], full.landmarks, rtol=1e-10, atol=1e-8)
     scale = np.abs(full.landmark_covariance).max(axis=(1, 2), keepdims=True)

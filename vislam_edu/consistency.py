@@ -45,7 +45,7 @@ _START = 100  # the stream of a seed that draws the filter's initial pose; simul
 class Filter:
     """A joint filter to be judged: what it believes of the sensors, its error state, other options.
 
-    noise : Noise. error_state : see `error_state.py`. options : further keyword arguments of `slam.run`.
+    noise : Noise. error_state : `ErrorState`. options : further keyword arguments of `slam.run`.
     """
 
     noise: Noise

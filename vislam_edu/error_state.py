@@ -1,16 +1,11 @@
 """What an "error" is. A filter on SE(3) cannot subtract; each class here is one way to say true minus estimate.
 
-The joint filter in `slam.py` asks four questions, and the answers are all that differs between two filters:
-
-pose_transition    how does an error of the pose, and of the twist, become an error one step later?
-jacobians          how does an error change what the cameras see?
-birth              what error does a new landmark inherit from the pose, and from its own measurement?
-retract            what is the state after an error has been estimated?
-
-and one for the judge: `difference`, the error of a belief when the truth is known.
-
-Errors are ordered [landmarks 3n, position 3, rotation 3]; landmarks come before the pose as in the report.
+`ErrorState` lists what the joint filter in `slam.py`, and those who judge it, ask; the answers are all that differs
+between two filters. Errors are ordered [landmarks 3n, position 3, rotation 3]: landmarks before the pose, as in the
+report.
 """
+
+from typing import Protocol
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -18,7 +13,52 @@ from scipy.linalg import block_diag
 from . import se3
 
 
-class RightPerturbation:
+class ErrorState(Protocol):
+    """The questions to a definition of the error. n landmarks, told in the world frame, m; errors in m and rad."""
+
+    name: str
+
+    def pose_transition(self, after, increment, body_noise):
+        """How an error of the pose, and of the twist, becomes an error one step later.
+
+        after : (4, 4) world_T_imu at the end of the step. increment : (4, 4), exp(tau u^), the step itself.
+        body_noise : (6, 6), tau J_r(tau u), twist error to pose error in the body frame at the end of the step.
+        Returns F (6, 6) and B (6, 6): pose error' = F pose error + B (error of the twist).
+        """
+
+    def landmark_transition(self, landmarks, B):
+        """(n, 3, 6): error of the twist to error of each landmark, or None where it moves none."""
+
+    def jacobians(self, world_T_imu, landmarks, J):
+        """How an error changes what the cameras see: H of a measurement of each landmark, in two parts.
+
+        J : (n, m, 3), derivative of the m numbers by the point in the IMU frame. landmarks : (n, 3).
+        Returns (n, m, 3) for the landmark and (n, m, 6) for the pose.
+        """
+
+    def birth(self, world_T_imu, points_imu):
+        """What a new landmark inherits: its error = G (pose error) + A (error of its triangulation in the IMU frame).
+
+        points_imu : (n, 3). Returns G (n, 3, 6) and A (3, 3).
+        """
+
+    def retract(self, world_T_imu, landmarks, delta):
+        """The state, pose and landmarks, after an error delta (3n+6,) has been estimated."""
+
+    def pose_difference(self, true_world_T_imu, world_T_imu):
+        """(..., 6): the error of a pose when the truth is known."""
+
+    def landmark_difference(self, true_world_T_imu, world_T_imu, true_landmarks, landmarks):
+        """(n, 3): the error of each landmark when the truth is known."""
+
+    def world_landmark(self, landmarks):
+        """(n, 3, 6): C with  m - m_hat = landmark error + C (pose error), metres in the world, or None for C = 0."""
+
+    def world_pose(self, world_T_imu):
+        """(6, 6): pose error to [p - p_hat, rotation vector] in the world frame, to first order."""
+
+
+class RightPerturbation(ErrorState):
     """The report's error: T = T_hat exp(epsilon^) in the body frame, m = m_hat + delta in the world frame.
 
     Source: report section 3.3.1; Barfoot, State Estimation for Robotics, chapter 8.
@@ -27,61 +67,51 @@ class RightPerturbation:
     name = "right perturbation"
 
     def pose_transition(self, after, increment, body_noise):
-        """F (6, 6) and B (6, 6): pose error' = F pose error + B (error of the twist).
-
-        after : (4, 4) world_T_imu at the end of the step. increment : (4, 4), exp(tau u^), the step itself.
-        body_noise : (6, 6), tau J_r(tau u), twist error to pose error in the body frame at the end of the step.
-        Source: report section 3.3.1, F = exp(-tau u_curly).
-        """
+        """F = exp(-tau u_curly); the body's own noise is B. Source: report section 3.3.1."""
         return se3.Adjoint(se3.inverse(increment)), body_noise
 
     def landmark_transition(self, landmarks, B):
-        """(n, 3, 6): error of the twist to error of each landmark. A moving car moves no landmark: None."""
+        """A moving car moves no landmark: None."""
         return None
 
     def jacobians(self, world_T_imu, landmarks, J):
-        """H of a measurement of each landmark, split into its landmark and its pose part.
+        """J R^T  and  -J [I, -s^],  s (n, 3) the points in the IMU frame.
 
-        J : (n, m, 3), derivative of the m numbers by the point in the IMU frame. landmarks : (n, 3).
-        Returns (n, m, 3) and (n, m, 6):  J R^T  and  -J [I, -s^],  s the point in the IMU frame.
         Source: report section 3.3.1 (the circled-dot form).
         """
         s = se3.transform(se3.inverse(world_T_imu), landmarks)
         return J @ world_T_imu[:3, :3].T, np.concatenate([-J, J @ se3.so3_hat(s)], axis=-1)
 
     def birth(self, world_T_imu, points_imu):
-        """Error of a new landmark = G (pose error) + A (error of its triangulation in the IMU frame).
-
-        points_imu : (n, 3). Returns G (n, 3, 6) = R [I, -s^] and A (3, 3) = R.
-        """
+        """G = R [I, -s^] and A = R,  s (n, 3) the points in the IMU frame."""
         R = world_T_imu[:3, :3]
         n = len(points_imu)
         return np.concatenate([np.broadcast_to(R, (n, 3, 3)), -R @ se3.so3_hat(points_imu)], axis=-1), R
 
     def retract(self, world_T_imu, landmarks, delta):
-        """The state corrected by an error delta (3n+6,): T exp(epsilon^) and m + delta."""
+        """T exp(epsilon^) and m + delta."""
         n = len(landmarks)
         return world_T_imu @ se3.exp(delta[3 * n:]), landmarks + delta[:3 * n].reshape(n, 3)
 
     def pose_difference(self, true_world_T_imu, world_T_imu):
-        """(..., 6): epsilon with T_true = T exp(epsilon^)."""
+        """epsilon with T_true = T exp(epsilon^)."""
         return se3.log(se3.inverse(world_T_imu) @ true_world_T_imu)
 
     def landmark_difference(self, true_world_T_imu, world_T_imu, true_landmarks, landmarks):
-        """(n, 3): true minus estimated position, m."""
+        """True minus estimated position."""
         return true_landmarks - landmarks
 
     def world_landmark(self, landmarks):
-        """(n, 3, 6): C with  m - m_hat = landmark error + C (pose error), metres in the world. Nothing: None."""
+        """The landmark error is told in metres in the world already: None."""
         return None
 
     def world_pose(self, world_T_imu):
-        """(6, 6): pose error to [p - p_hat, rotation vector] in the world frame, to first order."""
+        """Position and rotation turned from the body into the world: diag(R, R)."""
         R = world_T_imu[:3, :3]
         return block_diag(R, R)
 
 
-class RightInvariant:
+class RightInvariant(ErrorState):
     """The right-invariant error: one rotation x_R of the whole world, about the world's origin.
 
     R = exp(x_R) R_hat,  p = exp(x_R) p_hat + J_l(x_R) x_p,  m = exp(x_R) m_hat + J_l(x_R) x_m
@@ -99,7 +129,7 @@ class RightInvariant:
         return np.eye(6), se3.Adjoint(after) @ body_noise
 
     def landmark_transition(self, landmarks, B):
-        """(n, 3, 6): m^ B_R. The landmark itself stays, but its error is told relative to the turned world."""
+        """m^ B_R. The landmark itself stays, but its error is told relative to the turned world."""
         return se3.so3_hat(landmarks) @ B[3:]
 
     def jacobians(self, world_T_imu, landmarks, J):
@@ -123,22 +153,22 @@ class RightInvariant:
         return se3.pose(turn @ world_T_imu[:3, :3], points[-1]), points[:-1]
 
     def pose_difference(self, true_world_T_imu, world_T_imu):
-        """(..., 6): x with T_true = exp(x^) T."""
+        """x with T_true = exp(x^) T."""
         return se3.log(true_world_T_imu @ se3.inverse(world_T_imu))
 
     def landmark_difference(self, true_world_T_imu, world_T_imu, true_landmarks, landmarks):
-        """(n, 3): x_m, from the definition above."""
+        """x_m, from the definition above."""
         x_R = self.pose_difference(true_world_T_imu, world_T_imu)[3:]
         rest = true_landmarks - landmarks @ se3.so3_exp(x_R).T
         return rest @ se3.so3_left_jacobian_inverse(x_R).T
 
     def world_landmark(self, landmarks):
-        """(n, 3, 6): C = [0, -m^]. To first order m - m_hat = x_m - m^ x_R: what an ellipse on a map needs."""
+        """C = [0, -m^]. To first order m - m_hat = x_m - m^ x_R: what an ellipse on a map needs."""
         hat = se3.so3_hat(landmarks)
         return np.concatenate([np.zeros_like(hat), -hat], axis=-1)
 
     def world_pose(self, world_T_imu):
-        """(6, 6): p - p_hat = x_p - p^ x_R, the rotation is told in the world frame already."""
+        """p - p_hat = x_p - p^ x_R, the rotation is told in the world frame already."""
         C = np.eye(6)
         C[:3, 3:] = -se3.so3_hat(world_T_imu[:3, 3])
         return C

@@ -173,7 +173,7 @@ class PoseNees:
 def pose_nees(error_state, true_world_T_imu, world_T_imu, covariance) -> PoseNees:
     """NEES of a pose, the error measured in the coordinates in which the filter's covariance is told.
 
-    error_state : see `error_state.py`; its `pose_difference` is the error, [position, rotation].
+    error_state : `ErrorState`; its `pose_difference` is the error, [position, rotation].
     true_world_T_imu, world_T_imu : (..., 4, 4). covariance : (..., 6, 6) of that error.
     A covariance of one error put beside an error of the other kind gives a number that means nothing.
     NaN where the true pose is NaN.

@@ -113,7 +113,7 @@ def carry(belief, transition) -> Belief:
 class ImuDriven:
     """The report's motion model: the IMU is the input, its white noise the only thing that moves the error.
 
-    drive : Drive. noise : Noise. error_state : see `error_state.py`.
+    drive : Drive. noise : Noise. error_state : `ErrorState`.
     Source: report section 3.3.1.
     """
 
@@ -148,7 +148,7 @@ class TwistAndBias:
     the twist is a state, a random walk; the IMU is a noisy measurement of twist + bias; and the pose moves along the
     estimated twist. Nine states join the pose block: motion = [v, omega, gyro bias].
 
-    drive : Drive. noise : Noise, its sigmas those of one IMU sample. error_state : see `error_state.py`.
+    drive : Drive. noise : Noise, its sigmas those of one IMU sample. error_state : `ErrorState`.
     walk_v, walk_omega : m/s and rad/s per frame, how much the twist may change. walk_bias : rad/s per frame.
     Source: Barfoot, State Estimation for Robotics, section 3.4 (white noise on acceleration as a motion prior).
     """

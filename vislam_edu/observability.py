@@ -63,7 +63,7 @@ def at_truth(drive, frames, ids) -> LinearisationPoints:
 def observability_matrix(error_state, camera, points):
     """H_k Phi_k for each frame k: how its images depend on the error that the state has in the first frame.
 
-    error_state : see `error_state.py`. camera : StereoCamera. points : LinearisationPoints.
+    error_state : `ErrorState`. camera : StereoCamera. points : LinearisationPoints.
     Returns (F, 3n, 3n+6), columns ordered [landmarks, position, rotation]; `reshape(-1, 3n+6)`
     stacks the frames.
     """
@@ -102,7 +102,7 @@ def rank_by_frame(matrix, tolerance=1e-9):
 def global_directions(error_state, world_T_imu, landmarks):
     """(3n+6, 6): the error that a shift or a turn of car and map as one amounts to; columns [shift, turn].
 
-    error_state : see `error_state.py`. world_T_imu : (4, 4). landmarks : (n, 3), m, world.
+    error_state : `ErrorState`. world_T_imu : (4, 4). landmarks : (n, 3), m, world.
     For a twist xi of the world, T' = exp(xi^) T and m' = exp(xi^) m. These columns span what stereo and body
     twists cannot tell: every H_k Phi_k, taken at the true states, maps them to zero.
     """

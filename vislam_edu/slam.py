@@ -13,7 +13,7 @@ from scipy.linalg import block_diag, cholesky
 from scipy.linalg.blas import dtrsm, dtrsv
 
 from . import kalman, motion
-from .error_state import RightPerturbation
+from .error_state import ErrorState, RightPerturbation
 from .motion import Belief
 
 # v_left and v_right of a rectified pair measure the same thing. Their mean carries all they say about the state and
@@ -27,14 +27,14 @@ FOUR_FROM_THREE = [0, 1, 2, 1]
 class Sensors:
     """What an update needs to know besides the belief.
 
-    camera : StereoCamera. noise : Noise. error_state : see `error_state.py`.
+    camera : StereoCamera. noise : Noise. error_state : `ErrorState`.
     threshold : largest NIS (4 degrees of freedom) of a measurement that is believed.
     min_disparity : px, below it a new landmark waits for a better view.
     """
 
     camera: object
     noise: object
-    error_state: object
+    error_state: ErrorState
     threshold: float
     min_disparity: float
 

@@ -19,7 +19,6 @@ A landmark stands still, so at its retirement x_N is its final estimate: a fixed
 Source: Bierman, Fixed interval smoothing with discrete measurements, 1973 (the modified Bryson-Frazier form).
 """
 
-from dataclasses import dataclass
 from functools import partial
 from itertools import islice, pairwise
 from math import isqrt
@@ -29,19 +28,7 @@ from scipy.linalg import cholesky, solve_triangular
 
 from . import motion, se3, slam
 from .error_state import RightPerturbation
-
-
-@dataclass(frozen=True, eq=False)
-class FinalMap:
-    """What the whole drive says about every landmark.
-
-    landmarks : (M, 3), m, world. covariance : (M, 3, 3), m^2, in the world frame. used : (M,) bool, which rows hold
-    an estimate; the others (never born) are zero.
-    """
-
-    landmarks: np.ndarray
-    covariance: np.ndarray
-    used: np.ndarray
+from .mapping import MapBelief
 
 
 def _indices(rows):
@@ -154,7 +141,7 @@ def _settle(final, before, keep, lam, Lam, error_state):
     each = np.arange(r)
     final.landmarks[retired] = before.landmarks[rows] + (future @ lam).reshape(r, 3)
     final.covariance[retired] = (own - future @ Lam @ future.T).reshape(r, 3, r, 3)[each, :, each, :]
-    final.used[retired] = True
+    final.seen[retired] = True
 
 
 def _backwards(n_frames, run):
@@ -170,9 +157,10 @@ def _backwards(n_frames, run):
         yield from reversed(list(pairwise(steps)))
 
 
-def final_map(drive, noise, error_state=None, progress=lambda frames, total: frames, **options) -> FinalMap:
+def final_map(drive, noise, error_state=None, progress=lambda frames, total: frames, **options) -> MapBelief:
     """Every landmark as the filter that never retires one would know it at the end of the drive.
 
+    Returns a `MapBelief`; rows of landmarks that were never born are zero, and not `seen`.
     drive, noise, error_state, options : as for `slam.run`, with its `ImuDriven` motion model.
     progress : called as `progress(frames, total=T)` on the backward walk, for instance `tqdm.auto.tqdm`.
     Raises ValueError for another motion model or for a run that retires nothing.
@@ -187,7 +175,7 @@ def final_map(drive, noise, error_state=None, progress=lambda frames, total: fra
     model = motion.ImuDriven(drive, noise, error_state)
     sensors = slam.Sensors(drive.camera, noise, error_state, np.inf, 0.0)
     M = drive.n_landmarks
-    final = FinalMap(np.zeros((M, 3)), np.zeros((M, 3, 3)), np.zeros(M, bool))
+    final = MapBelief(np.zeros((M, 3)), np.zeros((M, 3, 3)), np.zeros(M, bool))
 
     lam = Lam = None
     run = partial(slam.run, drive, noise, error_state, **options)
