@@ -4,6 +4,7 @@ import argparse
 import json
 
 import numpy as np
+import picture_checks
 import pytest
 
 from vislam_edu import audit as audit_module
@@ -284,6 +285,7 @@ def test_report_reads_and_draws_and_serialises(tmp_path):
     assert len(figure.axes) == 6
     assert all(ax.get_xlabel() and ax.get_ylabel() for ax in figure.axes)
     figure.savefig(tmp_path / "audit.png")
+    picture_checks.is_large_enough(figure)
     with pytest.raises(KeyError, match="misalignment"):
         report["misalignment"]
 

@@ -166,10 +166,10 @@ def test_alternative_text_says_title_scales_and_names_of_all_axes_that_are_shown
     first.plot([0, 1], label="EKF")
     first.axhspan(0, 1, label="95 % band")
     first.plot([1, 0])
-    second.set(title="Only a title.")
+    second.set(title="Only a title?")
     hidden.set(title="nobody sees this", visible=False)
     assert style.alt_text(figure) == (
-        "Two of three. Two lines of title. error (m) against time (s): EKF; 95 % band. Only a title."
+        "Two of three. Two lines of title. error (m) against time (s): EKF; 95 % band. Only a title?"
     )
 
 
@@ -180,6 +180,17 @@ def test_every_figure_of_the_report_says_in_words_what_it_found_and_shows(result
         alt = style.alt_text(figure)
         assert alt.startswith(" ".join(title.split()))
         assert all(text.get_text() in alt for text in figure.legends[0].get_texts())
+
+
+def test_axes_keep_the_place_that_their_cell_gave_them():
+    """Long names beside the axes need more room than numbers."""
+    figure, axes = plots.new_figure()
+    left, width = axes.get_position().x0, axes.get_position().width
+    plots.finish(figure, "numbers")
+    assert (axes.get_position().x0, axes.get_position().width) == (left, width)
+    axes.set_position((0.33, 0, 0.65, 1))
+    plots.finish(figure, "names")
+    assert (axes.get_position().x0, axes.get_position().width) == pytest.approx((0.33, 0.65))
 
 
 # --- geometry ---------------------------------------------------------------------------------------------

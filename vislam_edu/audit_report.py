@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from dataclasses import dataclass
 
 import numpy as np
@@ -143,15 +144,15 @@ class Report:
         """A matplotlib Figure: gyro against cameras, timing, tracks in view with copy frames, disparities."""
         since_start = self.drive.times - self.drive.times[0]
         with style.context():
-            figure = Figure(figsize=(13, 6.5))
-            axes = figure.subplots(2, 3)
-            for i, ax in enumerate(axes[0]):
+            figure = Figure(figsize=(8, 8))
+            axes = figure.subplots(3, 2)
+            for i, ax in enumerate(axes[:, 0]):
                 _draw_gyro(ax, i, since_start, self.alignment)
-            _draw_timing(axes[1, 0], self.timing)
+            _draw_timing(axes[0, 1], self.timing)
             _draw_tracks(axes[1, 1], since_start, self.drive, self.copy_steps)
-            _draw_disparities(axes[1, 2], self.drive)
-            figure.suptitle(f"Audit of {self.drive.name or 'a drive'}: "
-                            + (", ".join(finding.fault for finding in self.findings) or "nothing found"))
+            _draw_disparities(axes[2, 1], self.drive)
+            found = ", ".join(finding.fault for finding in self.findings) or "nothing found"
+            figure.suptitle(textwrap.fill(f"Audit of {self.drive.name or 'a drive'}: {found}", 80), fontsize=11)
         return figure
 
 
@@ -164,7 +165,7 @@ def _brief(value):
 
 
 def _draw_gyro(ax, i, since_start, alignment):
-    ax.set(title=f"{AXES[3 + i]}, in the IMU's own frame", xlabel="time [s]", ylabel="rate [rad/s]")
+    ax.set(title=f"{AXES[3 + i]}, in the IMU's own frame", xlabel="time since start (s)", ylabel="rate (rad/s)")
     if alignment is None:
         ax.text(0.5, 0.5, "cameras see too little", ha="center", transform=ax.transAxes)
         return
@@ -172,6 +173,12 @@ def _draw_gyro(ax, i, since_start, alignment):
     ax.plot(at, alignment.measured[:, 3 + i], ".", ms=2, color=style.COLOURS["measured"], label="IMU")
     ax.plot(at, alignment.predicted[:, 3 + i], lw=1, color=style.COLOURS["predicted"],
             label="cameras, best mounting")
+    _legend_above_data(ax)
+
+
+def _legend_above_data(ax):
+    low, high = ax.get_ylim()
+    ax.set_ylim(low, high + 0.35 * (high - low))
     ax.legend(loc="upper right", fontsize="small")
 
 
@@ -192,8 +199,8 @@ def _draw_tracks(ax, since_start, drive, copy_steps):
     if copies.size:
         ax.plot(since_start[copies], drive.visible[copies], "|", ms=8, color=style.COLOURS["rejected"],
                 label=f"{copies.size} copy frames")
-    ax.set(title="tracks", xlabel="time [s]", ylabel="number in view", ylim=(0, None))
-    ax.legend(loc="upper right", fontsize="small")
+    ax.set(title="tracks", xlabel="time since start (s)", ylabel="number in view", ylim=(0, None))
+    _legend_above_data(ax)
 
 
 def _draw_disparities(ax, drive):
@@ -201,5 +208,5 @@ def _draw_disparities(ax, drive):
     low, high = np.percentile(disparity, [0.1, 99]) if disparity.size else (0, 0)
     ax.hist(disparity, bins=np.linspace(min(-3, low), max(3, high), 80), color=style.COLOURS["measured"])
     ax.axvline(0, lw=1, color=style.COLOURS["rejected"])
-    ax.set(title="disparities (zero and below: no such point)", xlabel="u_left - u_right [px]",
+    ax.set(title="disparities (zero and below: no such point)", xlabel="u_left - u_right (px)",
            ylabel="observations", yscale="log" if disparity.size else "linear")

@@ -115,14 +115,15 @@ def finish(figure, title):
     The places are computed: a layout engine does not settle when the scales of the axes must be equal.
     """
     axes = figure.axes[0]
-    height = axes.get_position(original=True).height * figure.get_figheight()
+    box = axes.get_position(original=True)
+    height = box.height * figure.get_figheight()
     lines = textwrap.wrap(re.sub(r"(?<=\d) (?=(m|s|%)\b|%)", "\N{NO-BREAK SPACE}", title), _TITLE_CHARACTERS)
     handles, labels = axes.get_legend_handles_labels()
     columns, rows = _legend_grid(labels)
     below, above = 0.55 + (0.15 + _LINE * rows if rows else 0.0), 0.15 + _LINE * len(lines)
     total = below + height + above
     figure.set_size_inches(WIDTH, total)
-    axes.set_position((_AXES_LEFT / WIDTH, below / total, _AXES_WIDTH / WIDTH, height / total))
+    axes.set_position((box.x0, below / total, box.width, height / total))
     axes.set_title("\n".join(lines))
     if rows:
         legend = figure.legend(handles, labels, loc="lower center", ncols=columns)

@@ -134,18 +134,14 @@ def alt_text(figure) -> str:
 
     All words are the figure's own: titles, labels of the axes, names in the legend.
     """
-    shared = _scales(figure.get_supylabel(), figure.get_supxlabel())
-    parts = [figure.get_suptitle(), shared, *(_axes_in_words(axes) for axes in figure.axes if axes.get_visible())]
-    sentences = [part.rstrip(".") + "." for part in (" ".join(part.split()) for part in parts) if part]
-    return " ".join(sentences)
-
-
-def _axes_in_words(axes) -> str:
-    """The title of some axes; y against x: what is drawn there. Parts that are not there are left out."""
-    title = next(filter(None, map(axes.get_title, ("left", "center", "right"))), "")
-    names = "; ".join(axes.get_legend_handles_labels()[1])
-    what = ": ".join(filter(None, [_scales(axes.get_ylabel(), axes.get_xlabel()), names]))
-    return ". ".join(filter(None, [title, what]))
+    parts = [figure.get_suptitle(), _scales(figure.get_supylabel(), figure.get_supxlabel())]
+    for axes in figure.axes:
+        if axes.get_visible():
+            names = "; ".join(axes.get_legend_handles_labels()[1])
+            parts.append(next(filter(None, map(axes.get_title, ("left", "center", "right"))), ""))
+            parts.append(": ".join(filter(None, [_scales(axes.get_ylabel(), axes.get_xlabel()), names])))
+    sentences = (" ".join(part.split()) for part in parts if part)
+    return " ".join(words if words.endswith((".", "?")) else f"{words}." for words in sentences)
 
 
 def _scales(y, x) -> str:
