@@ -202,7 +202,8 @@ class TuningPicture(Picture):
         inside = 100 * np.mean((low <= run.nees) & (run.nees <= high))
         return (
             f"NEES {two_digits(run.nees.mean())} (6 is honest, {inside:.0f} % of the frames inside the band); "
-            f"NIS of a measurement {two_digits(run.measurement_nis)} (4 is honest); "
+            f"NIS of single measurements {two_digits(run.measurement_nis)} (4 is honest), "
+            f"of whole frames {two_digits(np.nanmean(run.nis))} (1 is honest); "
             f"{two_digits(run.final_error)} m from the truth at the end."
         )
 
