@@ -1,6 +1,7 @@
 """What is stored in the notebooks: nbval compares only what is there, so a missing output would pass."""
 
 import ast
+import base64
 import re
 from pathlib import Path
 
@@ -8,6 +9,7 @@ import nbformat
 import pytest
 from nbconvert import HTMLExporter
 from nbformat import v4
+from picture_checks import GITHUB
 
 ROOT = Path(__file__).resolve().parents[1]
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
@@ -53,6 +55,12 @@ def picture_problems(output):
     for mime in PICTURES & data.keys():
         if not output.metadata.get(mime, {}).get("alt"):
             yield "a picture without alternative text"
+    if data.get("text/plain", "").startswith("<Figure") and (width := png_width(data["image/png"])) > GITHUB:
+        yield f"a figure {width} px wide, which GitHub shrinks to {GITHUB} px, and its lettering with it"
+
+
+def png_width(base64_png):
+    return int.from_bytes(base64.b64decode(base64_png[:32])[16:20])  # of the header, which comes first in the file
 
 
 def has_import(cell):
@@ -106,6 +114,9 @@ def test_a_sound_notebook_passes():
 
 ERROR = v4.new_output("error", ename="KeyError", evalue="", traceback=[])
 LINK = v4.new_output("display_data", data={"text/html": "<a href='/Users/ann'>"})
+WIDE = base64.b64encode(b"\x89PNG\r\n\x1a\n\x00\x00\x00\rIHDR" + (831).to_bytes(4) + bytes(8)).decode()
+FIGURE = v4.new_output("execute_result", data={"text/plain": "<Figure size", "image/png": WIDE},
+                       metadata={"image/png": {"alt": "a line"}})
 SPOILED = {
     "never run": (spoil(execution_count=None), "never run"),
     "semicolon": (spoil(source="ax.plot(x);"), "semicolon"),
@@ -113,6 +124,7 @@ SPOILED = {
     "stderr": (printing("warning", name="stderr"), "stored stderr"),
     "widget": (spoil(outputs=[v4.new_output("display_data", data={WIDGET: {}})]), "without a still"),
     "picture": (spoil(outputs=[v4.new_output("display_data", data=PNG)]), "without alternative text"),
+    "wide figure": (spoil(outputs=[FIGURE]), "831 px wide"),
     "path in stdout": (printing("saved /home/ann/x.png"), "/home/"),
     "path on Windows": (printing("saved C:\\Users\\ann"), "C:\\Users"),
     "path in html": (spoil(outputs=[LINK]), "/Users/"),

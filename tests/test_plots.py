@@ -159,17 +159,20 @@ def test_a_notebook_stores_a_figure_without_versions_and_with_its_alternative_te
 
 def test_alternative_text_says_title_scales_and_names_of_all_axes_that_are_shown():
     figure = Figure()
-    figure.suptitle("Two of three")
-    first, second, hidden = figure.subplots(1, 3)
+    figure.suptitle("Three of four")
+    first, second, hidden, fourth = figure.subplots(1, 4)
     first.set(xlabel="time (s)", ylabel="error (m)")
+    fourth.set(xlabel="time (s)", ylabel="error (m)", title="EKF and band again")
     first.set_title("Two lines\nof title", loc="left")
-    first.plot([0, 1], label="EKF")
-    first.axhspan(0, 1, label="95 % band")
+    for axes in (first, fourth):
+        axes.plot([0, 1], label="EKF")
+        axes.axhspan(0, 1, label="95 % band")
     first.plot([1, 0])
     second.set(title="Only a title?")
     hidden.set(title="nobody sees this", visible=False)
     assert style.alt_text(figure) == (
-        "Two of three. Two lines of title. error (m) against time (s): EKF; 95 % band. Only a title?"
+        "Three of four. Two lines of title. error (m) against time (s): EKF; 95 % band. Only a title? "
+        "EKF and band again."
     )
 
 

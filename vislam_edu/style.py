@@ -140,7 +140,7 @@ def alt_text(figure) -> str:
             names = "; ".join(axes.get_legend_handles_labels()[1])
             parts.append(next(filter(None, map(axes.get_title, ("left", "center", "right"))), ""))
             parts.append(": ".join(filter(None, [_scales(axes.get_ylabel(), axes.get_xlabel()), names])))
-    sentences = (" ".join(part.split()) for part in parts if part)
+    sentences = dict.fromkeys(" ".join(part.split()) for part in parts if part)  # what two axes share is said once
     return " ".join(words if words.endswith((".", "?")) else f"{words}." for words in sentences)
 
 
