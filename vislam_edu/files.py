@@ -48,9 +48,11 @@ class Fields:
         raise DriveError(f"{' or '.join(names)}: missing; the file has {present}")
 
     def text(self, name):
+        """What the file holds under this name, as plain Python: a string, or a list of them."""
         return np.asarray(self._read(self.key(name))).tolist()
 
     def numbers(self, name):
+        """An array of numbers, any shape. Raises DriveError for anything else."""
         value = self._read(self.key(name))
         try:
             value = np.asarray(value)
@@ -61,6 +63,7 @@ class Fields:
         return value
 
     def number(self, name):
+        """One number. Raises DriveError for several."""
         value = self.numbers(name)
         if value.size != 1:
             raise DriveError(f"{name}: shape {value.shape}, expected one number")

@@ -54,6 +54,7 @@ class Slam:
 
     @property
     def rejected_share(self) -> float:
+        """Of the measurements, those that the gate kept out; 0 where there were none."""
         return self.rejected / self.measurements if self.measurements else 0.0
 
 
@@ -150,7 +151,8 @@ def first_sight(drive, noise, world_T_imu, min_disparity=1.0) -> MapBelief:
     return MapBelief(landmarks, covariance, seen)
 
 
-def collect_mapping(steps):
+def collect_mapping(steps) -> Mapped:
+    """Listen to `mapping.run` and keep what a picture needs. steps : of `mapping.run`, with any gate."""
     threshold = kalman.gate_threshold(0.99)
     measurements = contradicting = 0
     for step in steps:
