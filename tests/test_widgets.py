@@ -10,7 +10,7 @@ from PIL import Image
 
 from vislam_edu import kalman, style
 from vislam_edu.pictures.canvas import Number, Picture, StepPicture, Switch
-from vislam_edu.widgets import SPEEDS, Panel, Stepper
+from vislam_edu.widgets import SPEEDS, UNSEEN, Panel, Stepper
 
 CONTROLS = {"height": Number("height, m", 1.0, 0.0, 4.0, 0.5), "filled": Switch("filled", False)}
 
@@ -83,6 +83,12 @@ def test_a_control_draws_at_once_and_reaches_the_artist():
 
 def test_caption_is_escaped():
     assert "height 1.0 &lt; 5" in Panel(Bar()).text.value
+
+
+def test_screen_reader_finds_the_picture_in_words_beside_it(stepper):
+    assert f'<div style="{UNSEEN}">a dot at 0</div>' in stepper.text.value
+    stepper.slider.value = 3
+    assert f'<div style="{UNSEEN}">a dot at 1.5</div>' in stepper.text.value
 
 
 def test_picture_depends_on_the_state_only_not_on_the_way_there():

@@ -12,6 +12,7 @@ import ipywidgets
 
 from .pictures.canvas import Decades, Number, Switch
 
+UNSEEN = "position: absolute; width: 1px; height: 1px; overflow: hidden; clip-path: inset(50%)"  # and read aloud
 SPEEDS = {"slow": 800, "normal": 350, "fast": 120}  # ms a half-step
 
 
@@ -20,7 +21,7 @@ class Panel(ipywidgets.VBox):
 
     picture : `pictures.canvas.Picture`.
     controls : dict name -> the ipywidgets control, whose `value` may be set from code.
-    image, text : the widgets that hold the picture and its caption.
+    image, text : the widgets that hold the picture, and its caption with the picture in words for screen readers.
     """
 
     def __init__(self, picture, **layout):
@@ -50,8 +51,11 @@ class Panel(ipywidgets.VBox):
     def _show(self, change=None):
         self.image.value = self.picture.png(**self.state)
         caption = self.picture.caption(**self.state)
-        # "status": a screen reader reads the caption out whenever it changes.
-        self.text.value = f'<div role="status">{html.escape(caption)}</div>'
+        # "status": a screen reader reads the caption out whenever it changes. An Image widget has no alternative text.
+        self.text.value = (
+            f'<div role="status">{html.escape(caption)}</div>'
+            f'<div style="{UNSEEN}">{html.escape(self.picture.alt(**self.state))}</div>'
+        )
 
     def __repr__(self):
         """Fixed, so that a notebook's stored text never depends on the picture or on an address."""
