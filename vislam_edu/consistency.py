@@ -25,7 +25,6 @@ import functools
 import json
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import joblib
 import numpy as np
@@ -34,7 +33,7 @@ from tqdm.auto import tqdm
 from . import metrics, se3, simulate, slam
 from .arguments import number, whole
 from .drive import DriveError
-from .error_state import RightInvariant, RightPerturbation
+from .error_state import ErrorState, RightInvariant, RightPerturbation
 from .files import replacing
 from .noise import Noise
 
@@ -49,7 +48,7 @@ class Filter:
     """
 
     noise: Noise
-    error_state: Any
+    error_state: ErrorState
     options: dict = field(default_factory=dict)
 
 

@@ -15,6 +15,8 @@ from scipy.linalg.blas import dtrsm, dtrsv
 from . import kalman, motion
 from .error_state import ErrorState, RightPerturbation
 from .motion import Belief
+from .noise import Noise
+from .stereo import StereoCamera
 
 # v_left and v_right of a rectified pair measure the same thing. Their mean carries all they say about the state and
 # has half the variance; their difference is pure noise, of no use but to the gate. So four rows become three.
@@ -32,8 +34,8 @@ class Sensors:
     min_disparity : px, below it a new landmark waits for a better view.
     """
 
-    camera: object
-    noise: object
+    camera: StereoCamera
+    noise: Noise
     error_state: ErrorState
     threshold: float
     min_disparity: float
