@@ -7,6 +7,7 @@ import itertools
 
 from matplotlib.mathtext import MathTextParser
 
+from vislam_edu import style
 from vislam_edu.widgets import Panel, Stepper
 
 GITHUB = 830  # px (CSS), the width to which GitHub shrinks a wider picture; JupyterLab's output area is wider
@@ -35,7 +36,8 @@ def lettering_is_legible(picture, states):
     """No text is too small to read, outside the figure or over another."""
     for state in states:
         picture.png(**state)
-        is_large_enough(picture.figure)
+        with style.context():  # measuring draws again
+            is_large_enough(picture.figure)
         renderer = picture.canvas.get_renderer()
         boxes = {}
         for text in _lettering(picture.figure):

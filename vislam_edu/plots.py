@@ -20,7 +20,7 @@ from . import se3, style
 
 WIDTH = 7.5  # inches, of every figure
 _AXES_LEFT, _AXES_WIDTH = 0.75, 6.6  # inches, the same in every figure, so that pictures line up on a page
-_MAP_HEIGHTS = (3.0, 7.0)  # inches, least and greatest height of a map's axes
+_MAP_HEIGHTS = (3.0, 6.4)  # inches, least and greatest height of a map's axes
 _TITLE_CHARACTERS = 78  # of a line above the axes
 _LINE = 0.2  # inches, a line of a title or a legend
 _LEGEND_HANDLE, _LEGEND_CHARACTER = 0.6, 0.063  # inches

@@ -146,7 +146,8 @@ def _control(control):
     """The widget for a `Number` or a `Switch`."""
     if isinstance(control, Switch):
         return ipywidgets.Checkbox(
-            control.value, description=control.label, indent=False, layout=ipywidgets.Layout(width="auto")
+            control.value, description=control.label, indent=False,
+            layout=ipywidgets.Layout(width="auto", margin="2px 20px 2px 2px"),
         )
     if isinstance(control, Decades):
         return ipywidgets.FloatLogSlider(
@@ -154,7 +155,7 @@ def _control(control):
             min=math.log10(control.low),
             max=math.log10(control.high),
             step=control.step,
-            readout_format=".2g",
+            readout_format=".2r",
             description=control.label,
             style={"description_width": "95px"},
             layout=ipywidgets.Layout(width="280px"),

@@ -103,14 +103,15 @@ class CuresPicture(Picture):
         name = "ground truth" if self.truth else "with every cure"
         path = ground(self.reference)
         self.map = add_axes(self, (0.07, 0.12, 0.5, 0.78), "Path of the left camera, from above",
-                            "forward at the start, m", "left at the start, m")
+                            "forward at the start (m)", "left at the start (m)")
         self._fit(path)
         (reference,) = self.map.plot(*path.T, color=COLOURS["truth"], lw=1.2, label=name)
         (self.line,) = self.map.plot([], [], color=COLOURS["invariant"], lw=1.6, label="filter")
         legend(self.map, [reference, self.line], loc="upper left")
         self.times = self.report.drive.times - self.report.drive.times[0]
         self.axes = add_axes(self, (0.66, 0.12, 0.32, 0.78), f"Distance from {'the truth' if self.truth else name}",
-                             "time since start, s", "m", yscale="log", ylim=(0.01, 300), xlim=(0, self.times[-1]))
+                             "time since start (s)", "distance (m)", yscale="log", ylim=(0.01, 300),
+                             xlim=(0, self.times[-1]))
         (self.error,) = self.axes.plot([], [], color=COLOURS["invariant"], lw=1.6)
         self.moves(self.line, self.error)
 
@@ -134,7 +135,7 @@ class CuresPicture(Picture):
 
     def caption(self, **state):
         on = [fault for fault in self.faults if state[fault.replace(" ", "_")]]
-        return f"Cured: {', '.join(on) or 'nothing'}. {self.outcome(on)}."
+        return f"Cured: {', '.join(on) or 'nothing'}. Result: {self.outcome(on)}."
 
     def alt(self, **state):
         outcome = self._outcome(state)

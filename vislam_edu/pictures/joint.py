@@ -225,6 +225,8 @@ class JointPicture(StepPicture):
         tail = f" State: {len(belief.ids)} landmarks and the pose, {size} × {size}."
         if drop:
             tail += " Cross-covariances are dropped after every frame."
+        if i == 0:
+            return f"{self.when(i)}: the start.{tail}"
         if i % 2 == 0:
             return f"{self.when(i)}: the pose is less certain. Retired: {_listed(step.retired)}.{tail}"
         used = int(step.innovation.accepted.sum())

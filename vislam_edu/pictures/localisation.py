@@ -119,7 +119,7 @@ class LocalisationPicture(StepPicture):
         self.errors = TimePanel(
             self,
             (0.55, 0.37, 0.44, 0.14),
-            "Innovation u: RMS (blue) and what S expects (dashed), px",
+            "Innovation u (px): RMS blue, what S expects dashed",
             "",
             times,
             [(_after_update(u), blue), (_after_update(sigma), grey)],

@@ -10,7 +10,7 @@ from .panels import LETTERING, add_axes, legend_above
 
 LIMITS = {"error": (0.01, 300), "nis": (0.5, 1e5), "nees": (0.1, 3e5)}
 TITLES = {
-    "error": "Distance from the truth, m",
+    "error": "Distance from the truth (m)",
     "nis": "NIS of a measurement, mean of a frame; dotted: 4",
     "nees": "NEES of the pose; green: its 95 % band",
 }
@@ -43,8 +43,8 @@ def gallery(visits, drive, columns=4) -> Figure:
             place.set(xlim=(x0, x1), ylim=(y0, y1), aspect="equal")
         for place in axes.flat[len(visits):]:
             place.set_visible(False)
-        figure.supxlabel("x, m", fontsize="medium")
-        figure.supylabel("y, m", fontsize="medium")
+        figure.supxlabel("x (m)", fontsize="medium")
+        figure.supylabel("y (m)", fontsize="medium")
         lost = sum(visit.lost for visit in visits)
         figure.suptitle(f"{lost} of {len(visits)} filters lose the street (red, dashed); truth black",
                         fontsize=11, x=0.01, ha="left")
@@ -76,7 +76,7 @@ class MuseumPicture(Picture):
         """The map on the left; error, NIS and NEES through time on the right."""
         right, times = self.visits[0], self.drive.times - self.drive.times[0]
         x0, x1, y0, y1 = view(self.drive)
-        self.map = add_axes(self, (0.07, 0.09, 0.42, 0.7), "From above", "x, m", "y, m", aspect="equal",
+        self.map = add_axes(self, (0.07, 0.09, 0.42, 0.7), "From above", "x (m)", "y (m)", aspect="equal",
                             xlim=(x0, x1), ylim=(y0, y1))
         red = COLOURS["rejected"]
         self.title = self.moves(self.figure.text(0.07, 0.945, "", fontsize=12, weight="bold", color=red))
@@ -98,7 +98,7 @@ class MuseumPicture(Picture):
             if kind == "nees":
                 band = metrics.chi2_band(6, probability=0.95)
                 axes.axhspan(*band, color=COLOURS["accepted"], alpha=0.25, linewidth=0)
-                axes.set_xlabel("time, s", fontsize=LETTERING)
+                axes.set_xlabel("time (s)", fontsize=LETTERING)
         self.times = times
 
     def draw(self, piece):

@@ -83,7 +83,7 @@ class MapPanel:
     """
 
     def __init__(self, picture, rect, title, points, true_landmarks=None, true_path=None):
-        self.axes = add_axes(picture, rect, title, "x, m", "y, m")
+        self.axes = add_axes(picture, rect, title, "x (m)", "y (m)")
         self._fit(points)
         handles = []
         if true_landmarks is not None:
@@ -172,7 +172,7 @@ class TimePanel:
 
     def __init__(self, picture, rect, title, ylabel, times, lines, still=(), **axes):
         self.times = times
-        xlabel = axes.pop("xlabel", "time, s")
+        xlabel = axes.pop("xlabel", "time (s)")
         self.axes = add_axes(picture, rect, title, xlabel, ylabel, **axes)
         self.axes.set_xlim(times[0], times[0] + 1.02 * max(times[-1] - times[0], 0.1))
         for values, style in still:

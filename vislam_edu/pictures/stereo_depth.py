@@ -11,11 +11,11 @@ from .panels import add_axes, image_axes, legend, legend_above
 
 DRAWS = 500
 NEAR, FAR = 4.0, 60.0  # m
-ZOOM = 3.0  # px, half the side of the magnified pixel noise
+ZOOM = 4.0  # px, shown on every side of a pixel: the 95 % circle of the largest noise fits
 CONTROLS = {
-    "depth": Number("depth, m", 30.0, NEAR, FAR, 0.5),
-    "right": Number("to the right, m", 0.3, -1.0, 1.0, 0.1),
-    "sigma_px": Number("noise, px", 0.7, 0.1, 1.5, 0.1),
+    "depth": Number("depth (m)", 30.0, NEAR, FAR, 0.5),
+    "right": Number("to the right (m)", 0.3, -1.0, 1.0, 0.1),
+    "sigma_px": Number("noise (px)", 0.7, 0.1, 1.5, 0.1),
 }
 
 
@@ -48,8 +48,8 @@ class StereoDepthPicture(Picture):
             self,
             (0.57, 0.57, 0.42, 0.33),
             "From above (sideways stretched): triangulated cloud",
-            "forward, m",
-            "to the right, m",
+            "forward (m)",
+            "to the right (m)",
             xlim=(0, 110),
             ylim=(1.9, -1.9),
         )
@@ -64,8 +64,8 @@ class StereoDepthPicture(Picture):
         self.law = add_axes(
             self,
             (0.57, 0.1, 0.42, 0.3),
-            "Standard deviation of the depth, m",
-            "depth, m",
+            "Standard deviation of the depth (m)",
+            "depth (m)",
             "",
             xlim=(0, FAR + 3),
             ylim=(0, 20),
@@ -85,12 +85,12 @@ class StereoDepthPicture(Picture):
 
     def _build_image(self, side, bottom):
         """One camera's image, with the noise around its pixel magnified beside it."""
-        axes = image_axes(self, (0.045, bottom, 0.29, 0.28), f"{side} image, px")
+        axes = image_axes(self, (0.045, bottom, 0.29, 0.28), f"{side} image (px)")
         (pixel,) = axes.plot([], [], "o", ms=5, color=COLOURS["measured"])
         zoom = add_axes(
             self,
             (0.375, bottom + 0.02, 0.11, 0.22),
-            "noise, px",
+            "noise (px)",
             xlim=(-ZOOM, ZOOM),
             ylim=(ZOOM, -ZOOM),
             aspect="equal",

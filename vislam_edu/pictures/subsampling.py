@@ -77,7 +77,7 @@ class SubsamplingPicture(Picture):
     def build(self):
         """The map on the left, error through time and error against share on the right."""
         path, blue = self.drive.true_world_T_imu[:, :2, 3], COLOURS["invariant"]
-        self.map = add_axes(self, (0.07, 0.1, 0.43, 0.82), "Map from above", "x, m", "y, m")
+        self.map = add_axes(self, (0.07, 0.1, 0.43, 0.82), "Map from above", "x (m)", "y (m)")
         (truth,) = self.map.plot(*path.T, "-", lw=1.6, color=COLOURS["truth"], label="true path")
         self.map.plot(*self.drive.true_landmarks[:, :2].T, "+", ms=3, mew=0.5, color="0.75", zorder=0)
         box = self.map.get_window_extent()
@@ -95,7 +95,7 @@ class SubsamplingPicture(Picture):
 
         t = self.drive.times - self.drive.times[0]
         self.time = add_axes(
-            self, (0.58, 0.6, 0.41, 0.32), "Position error", "time, s", "m", xlim=(0, t[-1]), ylim=(0, 10)
+            self, (0.58, 0.6, 0.41, 0.32), "Position error", "time (s)", "error (m)", xlim=(0, t[-1]), ylim=(0, 10)
         )
         (self.error,) = self.time.plot(t, np.zeros(len(t)), color=COLOURS["slam"], label="error")
         (self.claimed,) = self.time.plot(t, np.zeros(len(t)), "--", color=blue, label="claimed, RMS")

@@ -19,9 +19,9 @@ ELLIPSES = 6
 ENLARGED = 10  # times, the errors on the map: tenths of a metre cannot be seen beside a street
 _TRUE = Noise()
 CONTROLS: dict[str, Number | Switch] = {
-    "sigma_v": Decades("σ v, m/s", _TRUE.sigma_v, 0.005, 50.0, 0.1),
-    "sigma_omega": Decades("σ ω, rad/s", _TRUE.sigma_omega, 0.0005, 5.0, 0.1),
-    "sigma_px": Decades("σ px, px", _TRUE.sigma_px, 0.07, 7.0, 0.1),
+    "sigma_v": Decades("σ v (m/s)", _TRUE.sigma_v, 0.005, 50.0, 0.1),
+    "sigma_omega": Decades("σ ω (rad/s)", _TRUE.sigma_omega, 0.0005, 5.0, 0.1),
+    "sigma_px": Decades("σ px (px)", _TRUE.sigma_px, 0.07, 7.0, 0.1),
     "start": Decades("start, × σ", 1.0, 0.01, 100.0, 0.1),
     "report_birth": Switch("new landmarks as in the report (2 I)"),
     "invariant": Switch("right-invariant error (chapter 07)"),
@@ -109,8 +109,8 @@ class TuningPicture(Picture):
         times = self.drive.times - self.drive.times[0]
         self._build_map()
         self.errors = [
-            self._build_error((0.55, 0.79, 0.43, 0.16), "Position error to the left, m", times),
-            self._build_error((0.55, 0.555, 0.43, 0.16), "Heading error, degrees", times),
+            self._build_error((0.55, 0.79, 0.43, 0.16), "Position error to the left (m)", times),
+            self._build_error((0.55, 0.555, 0.43, 0.16), "Heading error (degrees)", times),
         ]
         drive = self.drive
         again = drive.frame[drive.first_seen[drive.landmark] < drive.frame]  # a first view is no prediction's test
@@ -123,12 +123,12 @@ class TuningPicture(Picture):
             (0.55, 0.085, 0.43, 0.16), "NIS of a frame / its degrees of freedom, honest: 1", times,
             nis_band(numbers), 1, (0.01, 300)
         )
-        self.nis[0].axes.set_xlabel("time, s", fontsize=LETTERING)
+        self.nis[0].axes.set_xlabel("time (s)", fontsize=LETTERING)
 
     def _build_map(self):
         truth = self.drive.true_world_T_imu
         dead = odometry.dead_reckon(self.drive, self.noise, self.world_T_imu).world_T_imu
-        self.map = add_axes(self, (0.06, 0.085, 0.42, 0.8), "", "x, m", "y, m", aspect="equal", adjustable="datalim")
+        self.map = add_axes(self, (0.06, 0.085, 0.42, 0.8), "", "x (m)", "y (m)", aspect="equal", adjustable="datalim")
         title = f"From above; errors and 95 % ellipses {ENLARGED} × as large"
         self.map.set_title(title, fontsize=TITLE, loc="left", pad=22)
         black = self.map.plot(*truth[:, :2, 3].T, color=COLOURS["truth"], lw=1.2, label="truth")

@@ -27,15 +27,15 @@ VIEW = np.array(
     ]
 )
 CONTROLS = {
-    "v_x": Number("v x, m/s", 5.0, -10.0, 10.0, 0.5),
-    "v_y": Number("v y, m/s", 0.0, -10.0, 10.0, 0.5),
-    "v_z": Number("v z, m/s", 0.0, -10.0, 10.0, 0.5),
-    "omega_x": Number("ω x, rad/s", 0.0, -1.0, 1.0, 0.05),
-    "omega_y": Number("ω y, rad/s", 0.0, -1.0, 1.0, 0.05),
-    "omega_z": Number("ω z, rad/s", 0.1, -1.0, 1.0, 0.05),
+    "v_x": Number("v x (m/s)", 5.0, -10.0, 10.0, 0.5),
+    "v_y": Number("v y (m/s)", 0.0, -10.0, 10.0, 0.5),
+    "v_z": Number("v z (m/s)", 0.0, -10.0, 10.0, 0.5),
+    "omega_x": Number("ω x (rad/s)", 0.0, -1.0, 1.0, 0.05),
+    "omega_y": Number("ω y (rad/s)", 0.0, -1.0, 1.0, 0.05),
+    "omega_z": Number("ω z (rad/s)", 0.1, -1.0, 1.0, 0.05),
     "samples": Number(f"time, × {TAU} s", 12, 1, SAMPLES, 1),
     "steps": Number("Euler steps", 3, 1, 50, 1),
-    "sigma_omega": Number("σ ω z, rad/s", 0.2, 0.0, 0.4, 0.01),
+    "sigma_omega": Number("σ ω z (rad/s)", 0.2, 0.0, 0.4, 0.01),
 }
 
 
@@ -196,8 +196,8 @@ class TwistPicture(Picture):
             self,
             (0.56, 0.1, 0.37, 0.74),
             "From above: where noise on v x, v y, ω z may put it",
-            "x, m",
-            "y, m",
+            "x (m)",
+            "y (m)",
             aspect="equal",
             adjustable="box",
         )
@@ -270,11 +270,11 @@ class TwistPicture(Picture):
         off = np.linalg.norm(end[:3, 3] - se3.exp(outcome.duration * outcome.twist)[:3, 3])
         stretch = np.cbrt(np.linalg.det(end[:3, :3]))
         held = [Path(outline).contains_points(outcome.ends).mean() for outline in (outcome.banana, outcome.plane)]
+        steps = "1 step" if state["steps"] == 1 else f"{state['steps']} steps"
         return (
-            f"After {outcome.duration:.1f} s Euler with {state['steps']} steps is {off:.2f} m off, its axes "
-            f"{stretch:.2f} times as long. Of the noisy runs the outline in exp coordinates holds "
-            f"{held[0]:.0%}, "
-            f"the ellipse in x and y {held[1]:.0%}."
+            f"After {outcome.duration:.1f} s Euler with {steps} is {off:.2f} m off, its axes {stretch:.2f} times as "
+            f"long. Of the noisy runs the outline in exp coordinates holds {100 * held[0]:.0f} %, the ellipse in x and "
+            f"y {100 * held[1]:.0f} %."
         )
 
     def alt(self, **state):
