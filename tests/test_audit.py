@@ -276,7 +276,7 @@ def test_report_reads_and_draws_and_serialises(tmp_path):
     text = str(report)
     for finding in report.findings:
         assert finding.fault in text
-        assert finding.advice in text
+        assert finding.advice in " ".join(text.split())  # long lines are broken
     assert "(needs the whole drive)" in text
     again = json.loads(json.dumps(report.to_dict(), allow_nan=False))
     assert [finding["fault"] for finding in again["findings"]] == [finding.fault for finding in report.findings]

@@ -102,12 +102,29 @@ def test_a_mistake_is_recognised_in_other_words():
 
 def test_a_mistake_that_explains_a_part_is_offered_as_a_guess():
     def two_mistakes(xi):
-        T = se3.exp(np.roll(xi, 3)) if xi[3:].any() else np.zeros((4, 4))
-        return T
+        return se3.exp(np.roll(xi, 3)) if xi[5] >= 0 else np.zeros((4, 4))
 
     text = judge(EXERCISES["se3_exp"], two_mistakes).text
     assert "Perhaps: rotation and translation swapped." in text
     assert "Most likely" not in text
+
+
+def test_a_mistake_that_does_not_explain_the_input_shown_is_no_guess():
+    def mostly_another(xi):
+        return se3.exp(np.roll(xi, 3)) if xi[3:].any() else np.zeros((4, 4))
+
+    verdict = judge(EXERCISES["se3_exp"], mostly_another)
+    assert "on input 1 of" in verdict.text
+    assert "Perhaps" not in verdict.text
+
+
+@pytest.mark.parametrize(("name", "first_order"), [
+    ("so3_exp", lambda phi: np.eye(3) + se3.so3_hat(phi) if np.linalg.norm(phi) < 0.2 else se3.so3_exp(phi)),
+    ("se3_exp", lambda xi: np.eye(4) + se3.hat(xi) if np.linalg.norm(xi[3:]) < 0.2 else se3.exp(xi)),
+])
+def test_first_order_is_not_enough_for_small_angles(name, first_order):
+    """A step of an IMU turns by a hundredth of a radian, so there must be inputs of that size."""
+    assert judge(EXERCISES[name], first_order).status == WRONG
 
 
 def test_an_unknown_mistake_gets_numbers_and_no_guess():
@@ -133,9 +150,17 @@ def test_returning_nothing_is_not_written_yet(blank):
     assert judge(EXERCISES["so3_hat"], lambda omega: blank).status == NOT_WRITTEN
 
 
+def test_a_function_that_calls_a_stub_says_which():
+    scope = {"np": np}
+    exec(EXERCISES["so3_hat"].stub + "\n\ndef so3_exp(phi):\n    return np.eye(3) + so3_hat(phi)\n", scope)
+    verdict = judge(EXERCISES["so3_exp"], scope["so3_exp"])
+    assert (verdict.status, verdict.text) == (NOT_WRITTEN, "so3_exp: it calls so3_hat, which is not written yet")
+
+
 def test_the_stub_states_the_task_and_the_tolerance():
     for exercise in EXERCISES.values():
-        assert exercise.statement in exercise.stub.replace("\n    ", "\n")
+        assert " ".join(exercise.statement.split()) in " ".join(exercise.stub.split())
+        assert max(map(len, exercise.stub.splitlines())) <= 100
         assert "Checked to 1e-" in exercise.stub
         assert "Returns" in exercise.stub
         assert max(map(len, exercise.stub.splitlines())) <= 120
@@ -305,8 +330,8 @@ def test_a_check_prints_and_remembers():
         "  [ 0   0  -1]\n"
         "  [ 0   1   0]\n"
         "largest difference 2, at [1, 2]\n"
-        "Most likely: signs transposed. This is the transpose, -omega^: it gives cross(b, a). The entry in the first "
-        "row, second column is -z.\n"
+        "Most likely: signs transposed. This is the transpose, -omega^: it gives cross(b, a). The entry in\n"
+        "  the first row, second column is -z.\n"
         "To try this input: so3_hat(*check.so3_hat.failing)\n")
     assert check.so3_hat.last.mistake == "signs transposed"
     np.testing.assert_array_equal(check.so3_hat.failing[0], [1, 0, 0])
@@ -338,8 +363,9 @@ def test_the_namespace_lists_the_exercises_and_suggests_names():
 def test_hints_are_graded_and_the_solution_is_the_packages(name):
     exercise = EXERCISES[name]
     assert len(exercise.hints) >= 2
-    assert printed(hint, name) == f"{name}, hint 1 of {len(exercise.hints)}: {exercise.hints[0]}\n"
-    assert exercise.hints[1] in printed(hint, name, 2)
+    told = [" ".join(printed(hint, name, level).split()) for level in (1, 2)]  # long lines are broken
+    assert told[0] == f"{name}, hint 1 of {len(exercise.hints)}: {exercise.hints[0]}"
+    assert exercise.hints[1] in told[1]
     with pytest.raises(ValueError, match=f"has hints 1 to {len(exercise.hints)}"):
         hint(name, len(exercise.hints) + 1)
     shown = printed(solution, name)

@@ -113,7 +113,7 @@ class Report:
         lines += ["", f"{len(self.findings)} findings" if self.findings else "Nothing found."]
         for i, finding in enumerate(self.findings, start=1):
             future = " (needs the whole drive)" if finding.cure and finding.cure.needs_future else ""
-            lines.append(f"{i}. {finding}{future}")
+            lines.append(style.on_a_page(f"{i}. {finding}{future}"))
         return "\n".join(lines)
 
     def to_dict(self) -> dict:
@@ -143,16 +143,16 @@ class Report:
     def figure(self):
         """A matplotlib Figure: gyro against cameras, timing, tracks in view with copy frames, disparities."""
         since_start = self.drive.times - self.drive.times[0]
-        with style.context():
-            figure = Figure(figsize=(8, 8))
-            axes = figure.subplots(3, 2)
-            for i, ax in enumerate(axes[:, 0]):
-                _draw_gyro(ax, i, since_start, self.alignment)
-            _draw_timing(axes[0, 1], self.timing)
-            _draw_tracks(axes[1, 1], since_start, self.drive, self.copy_steps)
-            _draw_disparities(axes[2, 1], self.drive)
-            found = ", ".join(finding.fault for finding in self.findings) or "nothing found"
-            figure.suptitle(textwrap.fill(f"Audit of {self.drive.name or 'a drive'}: {found}", 80), fontsize=11)
+        style.use()  # also when it is saved: tick labels are formatted then
+        figure = Figure(figsize=(8, 8))
+        axes = figure.subplots(3, 2)
+        for i, ax in enumerate(axes[:, 0]):
+            _draw_gyro(ax, i, since_start, self.alignment)
+        _draw_timing(axes[0, 1], self.timing)
+        _draw_tracks(axes[1, 1], since_start, self.drive, self.copy_steps)
+        _draw_disparities(axes[2, 1], self.drive)
+        found = ", ".join(finding.fault for finding in self.findings) or "nothing found"
+        figure.suptitle(textwrap.fill(f"Audit of {self.drive.name or 'a drive'}: {found}", 80), fontsize=11)
         return figure
 
 

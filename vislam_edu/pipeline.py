@@ -85,8 +85,8 @@ class Result:
         share, expected = self.slam.rejected_share, 1 - self.gate
         if share <= 10 * expected or not expected:
             return []
-        return [f"the gate kept out {share:.0%} of the measurements where {expected:.2g} is normal: tracks, "
-                "calibration or noise are not what the filter was told, so do not trust its covariance "
+        return [f"the gate kept out {100 * share:.0f} % of the measurements where {100 * expected:.2g} % is normal: "
+                "tracks, calibration or noise are not what the filter was told, so do not trust its covariance "
                 "(python -m vislam_edu audit shows which)"]
 
 

@@ -7,6 +7,7 @@ readers, or else in line style. What is drawn as an Image in a notebook is also 
 import base64
 import io
 import sys
+import textwrap
 from typing import Any
 
 import numpy as np
@@ -99,6 +100,8 @@ _RC: dict[Any, Any] = {
     "image.cmap": "cividis",
 }
 
+PAGE = 100  # characters of a line that JupyterLab shows whole
+
 # For savefig: the name of matplotlib's version would make files differ that show the same.
 PNG: dict[str, Any] = {"metadata": {"Software": None}}
 
@@ -156,6 +159,15 @@ def line(method):
 def two_digits(x) -> str:
     """A number below a million to two significant digits, without an exponent: the third depends on the machine."""
     return f"{float(f'{x:.2g}'):g}"
+
+
+def on_a_page(text) -> str:
+    """A text whose long lines are broken between words, as JupyterLab would break them anywhere."""
+    broken = []
+    for line in text.splitlines():
+        indent = line[:len(line) - len(line.lstrip())] + "  "
+        broken.append(textwrap.fill(line, PAGE, subsequent_indent=indent) if len(line) > PAGE else line)
+    return "\n".join(broken)
 
 
 def ellipse_points(mean, covariance, probability=0.95, n=60):

@@ -13,7 +13,8 @@ _SMALL = "Below a small angle, 1e-6 rad say, use the limits: sin t / t is 1, (1 
 
 def rotation_vectors(rng):
     yield "no rotation", (np.zeros(3),)
-    yield "1e-9 rad", (np.array([0.0, 1e-9, 0.0]),)
+    for angle in (1e-9, 1e-4, 0.01, 0.1):
+        yield f"{angle:g} rad", (np.array([0.0, angle, 0.0]),)
     yield "quarter turn", (np.array([0.0, 0.0, np.pi / 2]),)
     yield "3.1 rad", (np.array([0.0, 3.1, 0.0]),)
     for _ in range(8):
@@ -22,7 +23,8 @@ def rotation_vectors(rng):
 
 def twists(rng):
     yield "no rotation", (np.array([1.0, 2.0, 3.0, 0.0, 0.0, 0.0]),)
-    yield "1e-9 rad", (np.array([1.0, 2.0, 3.0, 0.0, 0.0, 1e-9]),)
+    for angle in (1e-9, 1e-4, 0.01, 0.1):
+        yield f"{angle:g} rad", (np.array([1.0, 2.0, 3.0, 0.0, 0.0, angle]),)
     yield "quarter turn", (np.array([1.0, 0.0, 0.0, 0.0, 0.0, np.pi / 2]),)
     for _ in range(8):
         yield "random", (rng.normal(size=6),)

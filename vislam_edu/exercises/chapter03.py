@@ -171,8 +171,9 @@ def _(camera, world_T_imu, landmark):
 
 def updates(rng):
     for n, m in [(1, 1), (3, 2), (3, 2), (6, 4), (6, 4)]:
-        yield f"{n} unknowns, {m} measurements", (random_covariance(rng, n, 1.0), rng.normal(size=(m, n)),
-                                                  random_covariance(rng, m, 1.0), rng.normal(size=m))
+        label = f"{n} unknown{'s' * (n > 1)}, {m} measurement{'s' * (m > 1)}"
+        yield label, (random_covariance(rng, n, 1.0), rng.normal(size=(m, n)), random_covariance(rng, m, 1.0),
+                      rng.normal(size=m))
 
 
 def _gain(P, H, V):

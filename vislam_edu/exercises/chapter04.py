@@ -124,9 +124,11 @@ def _correction(camera, world_T_imu, covariance, landmarks, pixels, V):
 def pose_update(camera, world_T_imu, covariance, landmarks, pixels, sigma_px):
     """EKF update of a pose against n landmarks whose positions are known, all at once.
 
-    camera : StereoCamera (observe, pose_jacobian). world_T_imu : (4, 4). covariance : (6, 6) of the right
-    perturbation, [position m, rotation rad]. landmarks : (n, 3), m, world. pixels : (n, 4), measured. sigma_px : px.
-    Returns world_T_imu (4, 4) and covariance (6, 6) afterwards. You may use `se3` and `kalman.update`.
+    camera : StereoCamera; camera.observe(world_T_imu, landmarks) returns pixels (n, 4) and a mask (n,), True in
+    front of the camera as all are here; camera.pose_jacobian(world_T_imu, landmarks) returns (n, 4, 6).
+    world_T_imu : (4, 4). covariance : (6, 6) of the right perturbation, [position m, rotation rad]. landmarks :
+    (n, 3), m, world. pixels : (n, 4), measured. sigma_px : px. Returns world_T_imu (4, 4) and covariance (6, 6)
+    afterwards. You may use `se3` and `kalman.update`.
     """
     delta, P = _correction(camera, world_T_imu, covariance, landmarks, pixels, sigma_px**2 * np.eye(pixels.size))
     return world_T_imu @ se3.exp(delta), P

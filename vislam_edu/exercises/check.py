@@ -13,6 +13,7 @@ import json
 import os
 import textwrap
 
+from ..style import on_a_page
 from .exercise import EXERCISES, find
 from .running import copied
 from .verdict import Verdict, judge
@@ -32,7 +33,7 @@ class Check:
     def __call__(self, function) -> None:
         """Try the function and print the verdict."""
         verdict = self.verdict(function)
-        print(verdict.text)
+        print(on_a_page(verdict.text))
         _record(verdict)
         if os.environ.get(NBGRADER) and not verdict.right:
             raise AssertionError(verdict.text)
@@ -89,7 +90,7 @@ def hint(name, level=1) -> None:
     hints = find(name).hints
     if level not in range(1, len(hints) + 1):
         raise ValueError(f"{name} has hints 1 to {len(hints)}, not {level!r}; what is left is solution({name!r})")
-    print(f"{name}, hint {level} of {len(hints)}: {hints[level - 1]}")
+    print(on_a_page(f"{name}, hint {level} of {len(hints)}: {hints[level - 1]}"))
 
 
 def solution(name) -> None:

@@ -38,7 +38,7 @@ def _shapes(exercise, name, came, should) -> str:
     text = f"{name or 'the result'} has shape {came.shape}; it should be {should.shape}"
     if came.shape == should.shape[::-1] and close(came.T, should, exercise.tolerance):
         return text + ". The numbers are right, but transposed."
-    if came.size == should.size and close(came.reshape(should.shape), should, exercise.tolerance):
+    if came.size == should.size > 1 and close(came.reshape(should.shape), should, exercise.tolerance):
         return text + ". The numbers are right: a column where a flat vector is wanted, or the reverse?"
     if came.ndim > should.ndim:
         return text + ". Has a column (n, 1) met a row (n,) and spread to a table? A flat vector is (n,)."
@@ -80,8 +80,7 @@ def rounded(values):
 
 def block(values) -> str:
     """An array, rounded and indented."""
-    values = rounded(values)
-    texts = np.vectorize(number, otypes=[object])(values)
+    texts = np.vectorize(number, otypes=[object])(rounded(values))
     if values.ndim < 2:
         return "  " + (f"[{', '.join(texts)}]" if values.ndim else str(texts))
     width = max((len(text) for text in texts.flat), default=0)
@@ -95,6 +94,8 @@ def argument(name, value) -> str:
         return f"  {name} = {value:.4g}"
     if not isinstance(value, np.ndarray):
         return f"  {name}: {type(value).__name__}"
+    if value.dtype == bool and value.size <= 6:
+        return f"  {name} = {value.tolist()}"
     if value.ndim == 1 and value.size <= 6:
         return f"  {name} = {block(value.astype(float)).strip()}"
     if value.ndim == 2 and 0 < value.size <= _SHOWN:

@@ -24,6 +24,8 @@ EXERCISES: dict[str, "Exercise"] = {}  # by name, in the order of the chapters
 
 SEED = 276
 
+_WIDTH = 96  # characters of a line in a stub: more would have to be scrolled in JupyterLab
+
 _STUB = '''def {name}{signature}:
     """{doc}
 
@@ -80,8 +82,10 @@ class Exercise:
     @property
     def stub(self) -> str:
         """The cell that the student fills in. The marks between which the answer goes are nbgrader's."""
+        paragraphs = (textwrap.fill(text, _WIDTH, initial_indent="    ", subsequent_indent="    ")
+                      for text in self.statement.split("\n\n"))
         return _STUB.format(name=self.name, signature=inspect.signature(self.reference),
-                            doc=textwrap.indent(self.statement, "    ").lstrip(), tolerance=short(self.tolerance))
+                            doc="\n\n".join(paragraphs).lstrip(), tolerance=short(self.tolerance))
 
     def inputs(self) -> list:
         """The (label, arguments) the answer is tried on: always the same, freshly made."""

@@ -16,8 +16,8 @@ from .running import Outcome, outcome_of
 def recognise(exercise, cases, outcomes, expected):
     """The mistake behind an answer's outcomes, and whether it explains every input: (Mistake or None, bool).
 
-    expected : the right results. A mistake that explains all inputs wins; else the one that explains most of
-    those that came out wrong.
+    expected : the right results. A mistake that explains all inputs wins; else the one that explains most of those
+    that came out wrong, if it explains the first of them, which the student is shown, and at least half of all.
     """
     wrong = [i for i, (outcome, should) in enumerate(zip(outcomes, expected))
              if outcome.values is None or differs(exercise, outcome, should)]
@@ -29,7 +29,7 @@ def recognise(exercise, cases, outcomes, expected):
         if wrong and all(same):
             return mistake, True
         explained = sum(same[i] for i in wrong)
-        if explained > most:
+        if explained > most and same[wrong[0]] and 2 * explained >= len(wrong):
             best, most = mistake, explained
     return best, False
 

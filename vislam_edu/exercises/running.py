@@ -32,13 +32,15 @@ class _Stop(BaseException):
 class Outcome:
     """What came of one input: either `values`, or the `error` that was raised.
 
-    blank : the function is a stub (it raised NotImplementedError, or returned None or `...`).
+    blank : the function is a stub (it raised NotImplementedError, or returned None or `...`), or calls one: then
+    `calls` names it.
     changed : names of the arguments that the call changed. precise : no result was of less than 64 bits.
     """
 
     values: list | None = None
     error: BaseException | None = None
     blank: bool = False
+    calls: str = ""
     changed: tuple[str, ...] = ()
     precise: bool = True
 
@@ -88,8 +90,10 @@ def outcome_of(exercise, function, arguments) -> Outcome:
     given = [copied(argument) for argument in arguments]
     try:
         result = function(*given)
-    except NotImplementedError:
-        return Outcome(blank=True)
+    except NotImplementedError as error:
+        raised_in = _their_frames(error)[-1:]
+        calls = [frame.name for frame in raised_in if frame.name != getattr(function, "__name__", frame.name)]
+        return Outcome(blank=True, calls="".join(calls))
     except _Stop:
         raise
     except BaseException as error:  # SystemExit included: an answer must not end the kernel
@@ -132,14 +136,19 @@ def arrays(result, names) -> tuple[list, bool]:
     return values, precise
 
 
+def _their_frames(error):
+    """The frames of an exception that lie in the student's code, innermost last."""
+    return [frame for frame in traceback.extract_tb(error.__traceback__)
+            if not frame.filename.startswith(tuple(_NOT_THEIRS))]
+
+
 def told(error) -> str:
     """An exception as its author needs it: their own lines, innermost last, and the message."""
     if isinstance(error, Unreadable):
         return str(error)
     lines = []
-    for frame in traceback.extract_tb(error.__traceback__):
-        if not frame.filename.startswith(tuple(_NOT_THEIRS)):
-            code = linecache.getline(frame.filename, frame.lineno or 0).strip()
-            lines.append(f"  line {frame.lineno} in {frame.name}:  {code}")
+    for frame in _their_frames(error):
+        code = linecache.getline(frame.filename, frame.lineno or 0).strip()
+        lines.append(f"  line {frame.lineno} in {frame.name}:  {code}")
     message = " ".join(_ADDRESS.sub("0x...", str(error)).split())
     return "\n".join([*lines[-4:], f"  {type(error).__name__}: {message}"])

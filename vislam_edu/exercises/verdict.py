@@ -78,6 +78,9 @@ def _wrong(exercise, cases, outcomes, expected, reasons) -> Verdict:
 
 
 def _blank(exercise, outcomes) -> Verdict:
+    if outcomes[-1].calls:
+        return Verdict(exercise.name, NOT_WRITTEN,
+                       f"{exercise.name}: it calls {outcomes[-1].calls}, which is not written yet")
     if len(outcomes) == 1:
         return Verdict(exercise.name, NOT_WRITTEN, f"{exercise.name}: not written yet")
     return Verdict(exercise.name, NOT_WRITTEN, f"{exercise.name}: not written yet for every input: input "
