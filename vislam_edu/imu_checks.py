@@ -36,8 +36,6 @@ def mistimed(drive, timing):
     if timing.p_value(fits) < SIGNIFICANCE and abs(offset - fits) > MIN_OFFSET:
         fits = float(np.floor(offset)) + 0.5
     reading = next((name for name, s in _READINGS.items() if s == fits), None)
-    if reading == drive.imu_sample:
-        return
     if reading:
         cure, advice = cures.use_imu_sample(reading), f'read it so: imu_sample="{reading}"'
     else:
