@@ -25,7 +25,7 @@ SCREENSHOTS = ROOT / "screenshots"
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "chrome", "msedge")
 CHROMIUM = os.environ.get("CHROMIUM") or next(filter(None, map(shutil.which, BROWSERS)), None)
 SECOND = 1000  # ms, the unit of playwright's timeouts
-STEPS = 3
+POLLING = 100  # ms; playwright's default, to look at every frame that is drawn, keeps the processor busy
 
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium found; set CHROMIUM to its path")
 
@@ -35,7 +35,16 @@ KERNEL_READY = """() => {
     const kernel = session?.session?.kernel;
     return session?.isReady && kernel?.connectionStatus === 'connected' && kernel.status === 'idle';
 }"""
-SHUT_KERNEL_DOWN = "() => window.jupyterapp?.shell?.currentWidget?.context?.sessionContext?.shutdown()"
+RESTORED = "() => window.jupyterapp?.restored.then(() => true)"
+OPEN = """async name => {
+    await window.jupyterapp.commands.execute('docmanager:open', {path: name, factory: 'Notebook'});
+}"""
+CLOSE_ALL = """async () => {
+    for (const tab of [...window.jupyterapp.shell.widgets('main')]) {
+        await tab.context?.sessionContext.shutdown();
+        tab.dispose();
+    }
+}"""
 # JupyterLab shows an exception's traceback as stderr.
 FAILED_OUTPUT = '[data-mime-type$="jupyter.stderr"], [data-mime-type$="jupyter.error"]'
 ALL_RAN_OR_ONE_FAILED = """failed =>
@@ -126,48 +135,57 @@ def chromium():
         browser.close()
 
 
-@pytest.fixture
-def page(chromium, lab):
-    """A page that remembers in `complaints` what went wrong behind the scenes."""
-    context = chromium.new_context(viewport={"width": 1300, "height": 950})
-    page = context.new_page()
+@pytest.fixture(scope="module")
+def jupyterlab(chromium, lab):
+    """A page with the application, which notebook after notebook is opened in: loading it takes longer than most run.
+
+    It remembers in `complaints` what went wrong behind the scenes.
+    """
+    page = chromium.new_page(viewport={"width": 1300, "height": 950})
     page.complaints = []
     page.on("pageerror", lambda error: page.complaints.append(f"error in the page: {error}"))
     page.on("console", lambda line: line.type == "error" and page.complaints.append(f"console: {line.text}"))
     page.on("request", lambda request: request.url.startswith((lab, "data:", "blob:"))
             or page.complaints.append(f"request: {request.url}"))
-    yield page
-    context.close()
+    page.goto(f"{lab}/lab?reset")
+    page.wait_for_function(RESTORED, timeout=60 * SECOND)
+    return page
+
+
+@pytest.fixture
+def page(jupyterlab, notebook):
+    """The application with nothing open. What the test leaves open is closed, and all of that without a complaint."""
+    yield jupyterlab
+    SCREENSHOTS.mkdir(exist_ok=True)
+    jupyterlab.screenshot(path=SCREENSHOTS / f"{notebook.stem}.png")
+    jupyterlab.keyboard.press("Escape")  # a dialog that a failure left would cover the next notebook
+    jupyterlab.evaluate(CLOSE_ALL)
+    complaints, jupyterlab.complaints = jupyterlab.complaints, []
+    assert complaints == []
 
 
 @pytest.mark.parametrize("notebook", NOTEBOOKS, ids=lambda path: path.stem)
-def test_notebook_in_the_browser(notebook, page, lab):
-    try:
-        open_notebook(page, f"{lab}/lab/tree/{notebook.name}?reset")
-        run_all(page)
-        assert failures(page) == []
-        slider = page.locator(".jp-OutputArea-output:has(img.widget-image) .widget-slider .noUi-handle").first
-        if slider.count():
-            step_by_keyboard(page, slider)
-            play(page, slider)
-        assert failures(page) == []
-        assert page.complaints == []
-    finally:
-        SCREENSHOTS.mkdir(exist_ok=True)
-        page.screenshot(path=SCREENSHOTS / f"{notebook.stem}.png")
-        page.evaluate(SHUT_KERNEL_DOWN)
+def test_notebook_in_the_browser(notebook, page):
+    open_notebook(page, notebook.name)
+    run_all(page)
+    assert failures(page) == []
+    slider = page.locator(".jp-OutputArea-output:has(img.widget-image) .widget-slider .noUi-handle").first
+    if slider.count():
+        step_by_keyboard(page, slider)
+        play(page, slider)
+    assert failures(page) == []
 
 
-def open_notebook(page, address):
-    page.goto(address)
+def open_notebook(page, name):
+    page.evaluate(OPEN, name)
     page.wait_for_selector(".jp-Notebook .jp-Cell", timeout=60 * SECOND)
-    page.wait_for_function(KERNEL_READY, timeout=30 * SECOND)
+    page.wait_for_function(KERNEL_READY, polling=POLLING, timeout=30 * SECOND)
 
 
 def run_all(page):
     page.get_by_role("menuitem", name="Run", exact=True).click()
     page.get_by_role("menuitem", name="Run All Cells", exact=True).click()
-    page.wait_for_function(ALL_RAN_OR_ONE_FAILED, arg=FAILED_OUTPUT, timeout=120 * SECOND)
+    page.wait_for_function(ALL_RAN_OR_ONE_FAILED, arg=FAILED_OUTPUT, polling=POLLING, timeout=120 * SECOND)
 
 
 def failures(page):
@@ -181,9 +199,10 @@ def output_of(slider):
 
 
 def step_by_keyboard(page, slider):
-    """A few steps forth show another picture, as many back the first one again.
+    """A step forth shows another picture, a step back the first one again.
 
-    A picture may keep what it has been asked (chapter 09 collects the points of a curve), so the way is gone twice.
+    One key at a time: each is answered by one picture, so the first that differs is the one to stay. A picture may
+    keep what it has been asked (chapter 09 collects the points of a curve), so the way is gone twice.
     """
     image = output_of(slider).locator("img.widget-image").first
     image.scroll_into_view_if_needed()
@@ -191,27 +210,13 @@ def step_by_keyboard(page, slider):
     at_end = slider.get_attribute("aria-valuenow") == slider.get_attribute("aria-valuemax")
     forth, back = ("ArrowLeft", "ArrowRight") if at_end else ("ArrowRight", "ArrowLeft")
     slider.focus()
-    shown = settled(page, image)
+    shown = image.evaluate(PICTURE)
     for key in (forth, back, forth):
-        press(page, key)
-        wait_until(page, lambda before=shown: image.evaluate(PICTURE) != before, "the picture did not follow")
-        before, shown = shown, settled(page, image)
-    press(page, back)
-    wait_until(page, lambda: image.evaluate(PICTURE) == before, "going back did not restore the picture")
-
-
-def press(page, key):
-    for _ in range(STEPS):
         page.keyboard.press(key)
-
-
-def settled(page, image):
-    """The picture that stays when the kernel has nothing left to do."""
-    shown = None
-    while shown != (shown := image.evaluate(PICTURE)):
-        page.wait_for_timeout(300)
-        page.wait_for_function(KERNEL_READY)
-    return shown
+        wait_until(page, lambda before=shown: image.evaluate(PICTURE) != before, "the picture did not follow")
+        before, shown = shown, image.evaluate(PICTURE)
+    page.keyboard.press(back)
+    wait_until(page, lambda: image.evaluate(PICTURE) == before, "going back did not restore the picture")
 
 
 def play(page, slider):
