@@ -52,17 +52,6 @@ LINESTYLES = {
     "expected": "--",
 }
 
-MARKERS = {
-    "truth": "+",
-    "dead_reckoning": "s",
-    "mapping": "^",
-    "report": "o",
-    "slam": "o",
-    "invariant": "o",
-    "measured": "o",
-    "predicted": "x",
-}
-
 LABELS = {
     "truth": "ground truth",
     "dead_reckoning": "dead reckoning",
