@@ -21,7 +21,7 @@ drive           Drive
 recordings      find load load_ground_truth
 faults          flip_imu_axes wrong_lever_arm add_gyro_bias delay_imu copy_frames outlier_tracks
 simulate        street_loop perfect_street_loop add_noise
-style           use COLOURS LABELS line ellipse_points two_digits
+style           use COLOURS LABELS line ellipse_points two_digits on_a_page
 noise           Noise
 kalman          innovation_covariance nis gate_threshold gain update central_difference
 odometry        Trajectory PoseBelief dead_reckon predict localize
