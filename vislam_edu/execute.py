@@ -1,6 +1,6 @@
 """Run the notebooks and store their outputs, so that running them again changes no byte.
 
-    python -m vislam_edu.execute [--check] [--timings] [NOTEBOOK ...]
+    python -m vislam_edu notebooks [--check] [--timings] [NOTEBOOK ...]
 
 What differs from run to run without meaning anything (timestamps, kernel details, random widget ids, the
 version of the program that encoded a picture) is removed or numbered: a diff then shows a change of content.
@@ -190,7 +190,7 @@ def _run_all(paths):
 
 def _arguments(argv):
     summary = __doc__.splitlines()[0]
-    parser = argparse.ArgumentParser(prog="python -m vislam_edu.execute", description=summary)
+    parser = argparse.ArgumentParser(prog="python -m vislam_edu notebooks", description=summary)
     parser.add_argument("notebooks", nargs="*", type=Path, metavar="NOTEBOOK", help="default: all of them")
     parser.add_argument("--check", action="store_true", help="write nothing; status 1 if one would change")
     parser.add_argument("--timings", action="store_true", help="print the seconds each notebook took")
@@ -225,7 +225,3 @@ def main(argv: list[str] | None = None) -> int:
             print(f"{seconds[path]:6.1f} s  {path.name}")
     print(f"{len(arguments.notebooks)} notebooks: {changed} changed, {failed} failed")
     return int(failed > 0 or (arguments.check and changed > 0))
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())

@@ -56,12 +56,6 @@ def run(arguments) -> int:
     return 0
 
 
-def main(argv=None) -> int:
-    parser = argparse.ArgumentParser(prog="python -m vislam_edu.exercises", description=__doc__.splitlines()[0])
-    add_arguments(parser)
-    return run(parser.parse_args(argv))
-
-
 def stubs(chapter) -> str:
     """The cells of a chapter's exercises as text."""
     chosen = [exercise for exercise in EXERCISES.values() if exercise.chapter == chapter]
