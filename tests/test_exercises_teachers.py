@@ -13,11 +13,17 @@ import nbformat
 import pytest
 from nbformat import v4
 
+from vislam_edu import __main__ as command_line
 from vislam_edu.exercises import EXERCISES, cells, grading, museum, report
 from vislam_edu.exercises.verdict import NOT_WRITTEN, RIGHT, WRONG
 
 NOTEBOOKS = sorted((Path(__file__).parents[1] / "notebooks").glob("*.ipynb"))
 KERNELSPEC = {"kernelspec": {"display_name": "Python 3 (ipykernel)", "language": "python", "name": "python3"}}
+
+
+def command(*arguments):
+    """`python -m vislam_edu exercises` with these arguments; its exit status."""
+    return command_line.main(["exercises", *map(str, arguments)])
 
 
 def write(path, code):
@@ -55,7 +61,7 @@ def reported(tmp_path_factory):
           joined(filled(e, f"EXERCISES[{e.name!r}].mistakes[-1].function") for e in exercises))
     write(folder / ".ipynb_checkpoints" / "right.ipynb", [])
     out = tmp_path_factory.mktemp("report")
-    assert report.main(["--report", str(folder), "--out", str(out)]) == 0
+    assert command("--report", folder, "--out", out) == 0
     return out
 
 
@@ -147,16 +153,16 @@ def test_a_record_that_was_meddled_with_is_read_as_far_as_it_makes_sense(tmp_pat
 
 
 @pytest.mark.parametrize(("name", "words"), [("missing", "no such notebook"), ("", "no notebooks in this folder")])
-def test_a_path_without_notebooks_is_named(tmp_path, name, words):
-    with pytest.raises(FileNotFoundError, match=words):
-        report.main(["--report", str(tmp_path / name), "--out", str(tmp_path / "out")])
+def test_a_path_without_notebooks_is_named(tmp_path, capsys, name, words):
+    assert command("--report", tmp_path / name, "--out", tmp_path / "out") == command_line.BAD_INPUT
+    assert words in capsys.readouterr().err
 
 
 # --- the table and the cells ------------------------------------------------------------------------------
 
 
 def test_one_command_prints_the_museum(capsys):
-    assert report.main(["--museum"]) == 0
+    assert command("--museum") == 0
     printed = capsys.readouterr().out
     assert printed == museum.table() + "\n"
     flat = " ".join(printed.split())
@@ -166,7 +172,7 @@ def test_one_command_prints_the_museum(capsys):
 
 
 def test_stubs_of_a_chapter_are_printed(capsys):
-    assert report.main(["--stubs", "3"]) == 0
+    assert command("--stubs", 3) == 0
     printed = capsys.readouterr().out
     for exercise in EXERCISES.values():
         assert (exercise.stub.rstrip() in printed) == (exercise.chapter == 3)
@@ -176,9 +182,11 @@ def test_stubs_of_a_chapter_are_printed(capsys):
     [], ["--stubs", "9"], ["--report", "a", "--limit", "0"], ["--museum", "--stubs", "1"]], ids=" ".join)
 def test_bad_arguments_are_refused(arguments, capsys):
     with pytest.raises(SystemExit) as error:
-        report.main(arguments)
+        command(*arguments)
     assert error.value.code == 2
-    assert "usage" in capsys.readouterr().err
+    [line] = capsys.readouterr().err.splitlines()
+    assert line.startswith("python -m vislam_edu exercises: ")
+    assert line.endswith("(--help explains)")
 
 
 def test_cell_ids_are_unique_and_valid():
@@ -192,13 +200,13 @@ def test_refreshing_a_notebook_brings_its_exercise_cells_up_to_date(tmp_path, ca
     helper, text = v4.new_code_cell("def project(x):\n    return x"), v4.new_markdown_cell("check.so3_hat(so3_hat)")
     path = write(tmp_path / "a.ipynb", [v4.new_code_cell("def so3_hat(x):\n    # BEGIN SOLUTION"), helper, text,
                                         v4.new_code_cell("check.so3_hat(so3_hat)"), *cells.pair(EXERCISES["odot"])])
-    assert report.main(["--refresh", str(path)]) == 0
+    assert command("--refresh", path) == 0
     assert "changed so3_hat, check_so3_hat\n" in capsys.readouterr().out
     refreshed = nbformat.read(path, as_version=4).cells
     assert [(cell.source, cell.metadata) for cell in refreshed[:4]] == [
         (cell.source, cell.metadata) for cell in (stub, helper, text, test)]
     before = path.read_bytes()
-    assert report.main(["--refresh", str(path)]) == 0
+    assert command("--refresh", path) == 0
     assert "changed nothing" in capsys.readouterr().out
     assert path.read_bytes() == before
 

@@ -5,7 +5,6 @@
     python -m vislam_edu exercises --stubs 3
 """
 
-import argparse
 import csv
 import dataclasses
 import json
