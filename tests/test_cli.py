@@ -53,6 +53,12 @@ def out(recording, tmp_path_factory):
     return folder
 
 
+@pytest.fixture
+def no_figures(monkeypatch):
+    """For tests of what the filter did: drawing takes several times as long as filtering."""
+    monkeypatch.setattr(report_figures, "FIGURES", {})
+
+
 # --- run --------------------------------------------------------------------------------------------------
 
 
@@ -122,6 +128,7 @@ def test_run_as_a_program_with_a_progress_bar_and_a_printed_summary(recording, t
     assert files(tmp_path / "out") == FILES
 
 
+@pytest.mark.usefixtures("no_figures")
 @pytest.mark.parametrize("options", [
     ["--error-state", "invariant"],
     ["--initialisation", "as-report"],
@@ -151,6 +158,7 @@ def test_quiet_says_nothing(recording, tmp_path, capfd):
     assert capfd.readouterr() == ("", "")
 
 
+@pytest.mark.usefixtures("no_figures")
 def test_street_loop_is_the_default_and_slam_beats_dead_reckoning_tenfold(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)  # found beside the package, not in the working directory
     assert cli.main(["run", "--out", "out", "--quiet"]) == 0
@@ -390,6 +398,7 @@ def faulty(path):
     return path
 
 
+@pytest.mark.usefixtures("no_figures")
 def test_audit_cures_what_it_names_and_says_so(tmp_path, capsys):
     path = faulty(tmp_path / "faulty.npz")
     results = {}
@@ -422,6 +431,7 @@ def test_causal_needs_audit(recording, tmp_path, capfd):
     assert "--audit" in capfd.readouterr().err
 
 
+@pytest.mark.usefixtures("no_figures")
 def test_a_filter_that_rejects_a_lot_says_so(tmp_path, capfd):
     recordings.save(street_loop(seed=1, frames=100, visible=20, outlier_share=0.3), tmp_path / "bad.npz")
     assert cli.main(["run", str(tmp_path / "bad.npz"), "--out", str(tmp_path / "out"), "--quiet"]) == 0
