@@ -45,12 +45,20 @@ def test_forward_memory_is_that_of_the_window_however_long_the_drive(drive):
     assert whole - quarter < per_frame * (drive.n_frames - 100)
 
 
-def test_backward_memory_is_far_below_one_covariance_of_all(drive):
+def backward_peak(drive):
+    return peak(lambda: smoother.final_map(drive, NOISE))
+
+
+@pytest.fixture(scope="module")
+def backward_peak_of_all(drive):
+    return backward_peak(drive)
+
+
+def test_backward_memory_is_far_below_one_covariance_of_all(drive, backward_peak_of_all):
     assert drive.n_landmarks > 500
-    assert peak(lambda: smoother.final_map(drive, NOISE)) < covariance_of_all(drive) / 4
+    assert backward_peak_of_all < covariance_of_all(drive) / 4
 
 
-def test_backward_memory_grows_like_the_root_of_the_drive(drive):
-    quarter, whole = (peak(lambda d=d: smoother.final_map(d, NOISE)) for d in (drive.slice(0, 100), drive))
+def test_backward_memory_grows_like_the_root_of_the_drive(drive, backward_peak_of_all):
     steps = np.sqrt(4)  # checkpoints and one piece between two of them
-    assert whole < 1.5 * steps * quarter
+    assert backward_peak_of_all < 1.5 * steps * backward_peak(drive.slice(0, 100))

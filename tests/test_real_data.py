@@ -70,7 +70,7 @@ def test_03_agrees_with_itself_once_cured(run_03):
 
 @pytest.mark.parametrize("name", ["03.npz", "0027.npz"])
 def test_a_recording_as_it_is_raises_a_warning(name):
-    drive = recordings.load(recording(name)).slice(0, 300)
+    drive = recordings.load(recording(name)).slice(0, 150)
     assert pipeline.run(drive, Noise(sigma_px=pipeline.TRACK_SIGMA_PX), RightInvariant()).warnings
 
 
