@@ -11,6 +11,8 @@ from nbconvert import HTMLExporter
 from nbformat import v4
 from picture_checks import GITHUB
 
+from vislam_edu.style import PAGE
+
 ROOT = Path(__file__).resolve().parents[1]
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
 PNG = {"image/png": "iVBORw0KGgo="}
@@ -44,6 +46,8 @@ def code_cell_problems(cell):
             yield f"stored error: {output.ename}"
         if output.get("name") == "stderr":
             yield "stored stderr"
+        if (longest := max(map(len, output.get("text", "").splitlines()), default=0)) > PAGE:
+            yield f"a printed line of {longest} characters, where JupyterLab shows little more than {PAGE}"
         yield from picture_problems(output)
 
 
@@ -125,6 +129,7 @@ SPOILED = {
     "widget": (spoil(outputs=[v4.new_output("display_data", data={WIDGET: {}})]), "without a still"),
     "picture": (spoil(outputs=[v4.new_output("display_data", data=PNG)]), "without alternative text"),
     "wide figure": (spoil(outputs=[FIGURE]), "831 px wide"),
+    "long line": (printing("short\n" + 101 * "x"), "a printed line of 101"),
     "path in stdout": (printing("saved /home/ann/x.png"), "/home/"),
     "path on Windows": (printing("saved C:\\Users\\ann"), "C:\\Users"),
     "path in html": (spoil(outputs=[LINK]), "/Users/"),
