@@ -153,7 +153,7 @@ class JointPicture(StepPicture):
         self.forward = TimePanel(
             self,
             (0.56, 0.72, 0.43, 0.2),
-            "Position error forward, m, and its ± 3σ (dashed)",
+            "Position error forward (m) and its ± 3σ (dashed)",
             "",
             times,
             list(zip(error_and_band(first, AXIS), styles)),
@@ -163,7 +163,7 @@ class JointPicture(StepPicture):
         self.heading = TimePanel(
             self,
             (0.56, 0.41, 0.43, 0.2),
-            "Heading error, degrees, and its ± 3σ (dashed)",
+            "Heading error (degrees) and its ± 3σ (dashed)",
             "",
             times,
             list(zip(np.rad2deg(error_and_band(first, YAW)), styles)),

@@ -131,7 +131,7 @@ class ImagePanel:
 
     def __init__(self, picture, rect, enlarged):
         self.enlarged = enlarged
-        title = f"Left image, px; predictions {enlarged} × as far from the measured pixel"
+        title = f"Left image (px); predictions {enlarged} × as far from the measured pixel"
         self.axes = image_axes(picture, rect, title)
         self.ellipses = self.axes.add_collection(
             PolyCollection([], facecolor="none", edgecolor=COLOURS["predicted"], lw=1.0, label="95 % of S"),

@@ -155,7 +155,7 @@ class TuningPicture(Picture):
 
     def _build_error(self, rect, title, times):
         """An error and the edges of its band of 3 sigma."""
-        axes = add_axes(self, rect, f"{title}, and its ± 3σ (dashed)", xlim=(times[0], times[-1]))
+        axes = add_axes(self, rect, f"{title} and its ± 3σ (dashed)", xlim=(times[0], times[-1]))
         style = {"color": COLOURS["expected"], "ls": "--", "lw": 1.0}
         edges = [axes.plot(times, 0 * times, **style)[0] for _ in range(2)]
         (line,) = axes.plot(times, 0 * times, color=COLOURS["slam"], lw=1.4)

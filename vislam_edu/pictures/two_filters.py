@@ -87,7 +87,7 @@ class TwoFiltersPicture(StepPicture):
         top = 1.9 * max(values.max() for values, _ in self.heading_lines)
         grey = {"color": COLOURS["expected"], "ls": ":", "lw": 1.2}
         self.heading = TimePanel(
-            self, (0.06, 0.08, 0.43, 0.29), "Heading error and 3σ (dashed), degrees; dotted: at start",
+            self, (0.06, 0.08, 0.43, 0.29), "Heading error (degrees) and 3σ (dashed); dotted: at start",
             "", times, self.heading_lines, still=[(np.full(len(times), first), grey)], ylim=(0, top),
         )
         legend(self.heading.axes, self.heading.lines, columns=2)
