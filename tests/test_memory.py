@@ -1,10 +1,10 @@
 """Every landmark, in memory that does not know how many there are: the smaller brother of benchmarks/window.py."""
 
-import tracemalloc
 from collections import deque
 
 import numpy as np
 import pytest
+from memory import peak
 
 from vislam_edu import simulate, slam, smoother
 from vislam_edu.noise import Noise
@@ -16,16 +16,6 @@ NOISE = Noise()
 def drive():
     """400 frames with short tracks, so that the map is large and the window small."""
     return simulate.street_loop(seed=6, frames=400, visible=12, mean_life=10, life=(3, 30), redetect_every=2)
-
-
-def peak(function):
-    """Bytes that the call held at its worst, above what was there before."""
-    tracemalloc.start()
-    try:
-        function()
-        return tracemalloc.get_traced_memory()[1]
-    finally:
-        tracemalloc.stop()
 
 
 def forward(drive):
