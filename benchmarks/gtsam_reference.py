@@ -21,9 +21,10 @@ from importlib.metadata import version
 import numpy as np
 import real_drives
 
-from vislam_edu import pipeline, se3
+from vislam_edu import se3
 from vislam_edu.audit import audit
 from vislam_edu.motion import TwistAndBias
+from vislam_edu.studies import pipeline
 
 try:
     import gtsam

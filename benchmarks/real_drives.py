@@ -20,11 +20,13 @@ from pathlib import Path
 
 import numpy as np
 
-from vislam_edu import consensus, cures, files, metrics, odometry, pipeline, recordings, slam
-from vislam_edu.audit import audit
+from vislam_edu import consensus, metrics, odometry, recordings, window_slam
+from vislam_edu.audit import audit, cures
 from vislam_edu.error_state import RightInvariant, RightPerturbation
 from vislam_edu.motion import ImuDriven, TwistAndBias
 from vislam_edu.noise import Noise
+from vislam_edu.recordings import files
+from vislam_edu.studies import pipeline
 
 KNOWN = {"0027.npz": "0027_ground_truth.txt"}
 RESULTS = Path(__file__).parent / "results" / "real_drives.json"
@@ -44,7 +46,7 @@ def filtered(drive, noise, error_state=None, **options) -> dict:
     error_state = error_state or RightInvariant()
     poses, measurements, rejected = np.empty((drive.n_frames, 4, 4)), 0, 0
     begin = time.process_time()
-    for step in slam.run(drive, noise, error_state, **options):
+    for step in window_slam.run(drive, noise, error_state, **options):
         poses[step.k] = step.posterior.world_T_imu
         measurements += len(step.innovation.ids)
         rejected += np.count_nonzero(~step.innovation.accepted)
@@ -66,7 +68,7 @@ def treatments(report):
     raw, noise = report.drive, pipeline.noise_of_real_drive(report.noise)
     yield "dead reckoning", accuracy(raw, odometry.dead_reckon(raw, noise).world_T_imu)
     yield "the report's filter and values", filtered(
-        raw, Noise.from_report(), RightPerturbation(), measure=slam.as_report, gate=1)
+        raw, Noise.from_report(), RightPerturbation(), process_frame=window_slam.as_report, gate=1)
     tracks_as_they_are = read_right(report)
     yield "file read right, tracks as they are", filtered(tracks_as_they_are, noise)
     ended = tracks_as_they_are.apply(cures.end_tracks_at_copies())
@@ -77,9 +79,9 @@ def treatments(report):
     yield "the same, right perturbation", filtered(report.cured(), noise, RightPerturbation(),
                                                    motion_model=TwistAndBias)
     yield "every cure, and the second gate", filtered(report.cured(), noise, motion_model=TwistAndBias,
-                                                      measure=consensus.measure)
+                                                      process_frame=consensus.process_frame)
     yield "tracks as they are, and the second gate", filtered(tracks_as_they_are, noise, motion_model=TwistAndBias,
-                                                              measure=consensus.measure)
+                                                              process_frame=consensus.process_frame)
 
 
 SETTINGS = {
@@ -118,7 +120,7 @@ def rejected_by_age(drive, noise, ages=(1, 2, 4, 8, 16, 32)) -> list:
     away from the one it began with, and the filter, which knows that landmark better with every view, notices.
     """
     kept_out, age = [], []
-    for step in slam.run(drive, noise, RightInvariant(), motion_model=TwistAndBias):
+    for step in window_slam.run(drive, noise, RightInvariant(), motion_model=TwistAndBias):
         kept_out.append(~step.innovation.accepted)
         age.append(step.k - drive.first_seen[step.innovation.ids])
     kept_out, group = np.concatenate(kept_out), np.searchsorted(ages, np.concatenate(age), side="right") - 1

@@ -12,14 +12,14 @@ import time
 
 import numpy as np
 
-from vislam_edu import mapping, odometry, simulate, slam
+from vislam_edu import mapping, odometry, simulate, window_slam
 from vislam_edu.noise import Noise
-from vislam_edu.pictures.joint import JointPicture
-from vislam_edu.pictures.localisation import LocalisationPicture
-from vislam_edu.pictures.mapping import MappingPicture
-from vislam_edu.pictures.stereo_depth import StereoDepthPicture
-from vislam_edu.pictures.twist import TwistPicture
 from vislam_edu.widgets import Panel, Stepper
+from vislam_edu.widgets.joint import JointPicture
+from vislam_edu.widgets.localisation import LocalisationPicture
+from vislam_edu.widgets.mapping import MappingPicture
+from vislam_edu.widgets.stereo_depth import StereoDepthPicture
+from vislam_edu.widgets.twist import TwistPicture
 
 LIMIT = 50.0  # ms
 
@@ -33,7 +33,7 @@ def settings():
     yield "03 mapping", *stepped(MappingPicture(mapping.run(drive, noise, truth), drive, truth))
     localised = odometry.localize(drive, noise, drive.true_landmarks)
     yield "04 localisation", *stepped(LocalisationPicture(localised, drive, noise, drive.true_landmarks))
-    yield "05 joint", *stepped(JointPicture(slam.run(drive, noise), drive, noise))
+    yield "05 joint", *stepped(JointPicture(window_slam.run(drive, noise), drive, noise))
 
 
 def dragged(panel, name):

@@ -26,7 +26,7 @@ import scipy
 import threadpoolctl
 from scipy.linalg import blas, lapack
 
-from vislam_edu import recordings, simulate, slam, smoother
+from vislam_edu import recordings, simulate, smoother, window_slam
 from vislam_edu.noise import Noise
 
 RESULTS = Path(__file__).parent / "results" / "window.json"
@@ -46,7 +46,7 @@ def frame_times(drive, **options):
     """
     seconds, carried, sizes = [], [], []
     before = time.process_time()
-    for step in slam.run(drive, NOISE, **options):
+    for step in window_slam.run(drive, NOISE, **options):
         now = time.process_time()
         seconds.append(now - before)
         carried.append(len(step.posterior.ids))
@@ -148,7 +148,7 @@ def dense_against_window():
     born = np.cumsum(np.bincount(drive.first_seen, minlength=drive.n_frames))
     drive = drive.slice(0, int(np.searchsorted(born, 1.1 * CARRIED[-1])))
     window, *_ = least_frame_times(drive, 4)
-    dense, carried, _ = frame_times(drive, retire=slam.never)
+    dense, carried, _ = frame_times(drive, retire=window_slam.retire_none)
     rows = []
     for M in CARRIED:
         frames = np.abs(carried - M) <= 0.15 * M
@@ -209,7 +209,7 @@ def real_time(names=("03.npz", "0027.npz", "street_loop.npz", "first_steps.npz")
             continue
         drive = recordings.load(path)
         *_, sizes = frame_times(drive)
-        seconds = least(lambda drive=drive: deque(slam.run(drive, NOISE), maxlen=0), 4)
+        seconds = least(lambda drive=drive: deque(window_slam.run(drive, NOISE), maxlen=0), 4)
         floor = min(bare_update(sizes) for _ in range(4))
         rows.append(
             {
@@ -233,7 +233,7 @@ def dataset_10_size():
     To be called in a process of its own: peak memory is that of all it has ever done.
     """
     drive = simulate.street_loop(frames=3026)
-    forward = least(lambda: deque(slam.run(drive, NOISE), maxlen=0), 1)
+    forward = least(lambda: deque(window_slam.run(drive, NOISE), maxlen=0), 1)
     both = least(lambda: smoother.final_map(drive, NOISE), 1)
     unit = 1 if sys.platform == "darwin" else 1024  # bytes
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit

@@ -7,7 +7,7 @@ import itertools
 
 from matplotlib.mathtext import MathTextParser
 
-from vislam_edu import style
+from vislam_edu.plots import style
 from vislam_edu.widgets import Panel, Stepper
 
 GITHUB = 830  # px (CSS), the width to which GitHub shrinks a wider picture; JupyterLab's output area is wider

@@ -1,6 +1,5 @@
 """The audit finds what was planted, says how large it is, cures it, and leaves clean drives alone."""
 
-import argparse
 import json
 from functools import cache
 
@@ -8,9 +7,10 @@ import numpy as np
 import picture_checks
 import pytest
 
-from vislam_edu import audit as audit_module
-from vislam_edu import cures, faults, imu_alignment, recordings, se3, simulate, track_health
-from vislam_edu.audit import audit
+from vislam_edu import recordings, se3, simulate
+from vislam_edu.audit import audit, cures, imu_alignment, track_health, visual_odometry
+from vislam_edu.cli import main
+from vislam_edu.simulate import faults
 
 SEEDS = (11, 12)
 
@@ -195,7 +195,7 @@ def test_copy_frames(frames):
 def test_single_frozen_tracks_are_not_copy_frames():
     drive = street(11)
     pixels = drive.pixels.copy()
-    step, before, after = audit_module.visual_odometry.pairs(drive)
+    step, before, after = visual_odometry.pairs(drive)
     chosen = np.flatnonzero(step % 2 == 0)[::40]  # of every other step, so that no copy is copied on
     before, after = before[chosen], after[chosen]
     pixels[after] = pixels[before]
@@ -305,11 +305,9 @@ def test_drives_too_poor_to_judge_are_still_reported():
 
 def test_command_line(tmp_path, capsys):
     recordings.save(everything_wrong(11), tmp_path / "drive.npz")
-    parser = argparse.ArgumentParser()
-    audit_module.add_arguments(parser)
-    words = [str(tmp_path / "drive.npz"), "--json", "--figure", str(tmp_path / "audit.png"), "--cured",
+    words = ["audit", str(tmp_path / "drive.npz"), "--json", "--figure", str(tmp_path / "audit.png"), "--cured",
              str(tmp_path / "cured.npz"), "--causal"]
-    assert audit_module.run(parser.parse_args(words)) == 0
+    assert main(words) == 0
     printed = json.loads(capsys.readouterr().out)
     assert "gyro bias" in [finding["fault"] for finding in printed["findings"]]
     assert (tmp_path / "audit.png").stat().st_size > 0

@@ -14,10 +14,13 @@ from evo.core import metrics as evo_metrics
 from evo.core.trajectory import PoseTrajectory3D
 from evo.tools import file_interface
 
-from vislam_edu import __main__ as cli
-from vislam_edu import faults, outputs, pipeline, recordings, report_figures
+from vislam_edu import cli, recordings
+from vislam_edu.cli import outputs
+from vislam_edu.cli.run import prepare
 from vislam_edu.noise import Noise
-from vislam_edu.simulate import street_loop
+from vislam_edu.plots import report_figures
+from vislam_edu.simulate import faults, street_loop
+from vislam_edu.studies import pipeline
 
 SHARED = Path(__file__).resolve().parents[2] / "shared" / "data"
 KEYS = ["frames", "duration_s", "landmarks", "landmarks_used", "measurements", "rejected_share", "filter_s",
@@ -74,7 +77,7 @@ def test_summary_has_its_keys_and_says_what_the_filter_did(out, recording):
     summary = json.loads((out / "summary.json").read_text())
     assert sorted(summary) == sorted(KEYS + TRUTH_KEYS + SENTENCES)
     drive = recordings.load(recording)
-    result = pipeline.run(drive, Noise())
+    result = pipeline.run_pipeline(drive, Noise())
     assert summary["frames"] == 130
     assert summary["landmarks"] == drive.n_landmarks
     assert summary["landmarks_used"] == result.slam.map.seen.sum()
@@ -147,8 +150,8 @@ def test_every_option_reaches_the_filter(options, out, recording, tmp_path):
 
 
 def test_report_noise_is_the_reports_unless_a_value_is_given():
-    arguments = cli.parser().parse_args(["run", "--out", "x", "--report-noise", "--sigma-px", "1"])
-    _, noise, _ = cli.prepare(arguments)
+    words = ["run", "--out", "x", "--report-noise", "--sigma-px", "1"]
+    _, noise, _ = prepare(cli.parser(words).parse_args(words))
     assert (noise.sigma_v, noise.sigma_omega, noise.sigma_px) == (
         Noise.from_report().sigma_v, Noise.from_report().sigma_omega, 1)
 
@@ -198,7 +201,7 @@ def test_truth_that_starts_late_is_told_in_the_frame_of_its_first_pose(recording
     truth = drive.truth_world_T_cam.copy()
     truth[:40] = np.nan
     late = drive.replace(truth_world_T_cam=truth)
-    result = pipeline.run(late, Noise())
+    result = pipeline.run_pipeline(late, Noise())
     assert outputs.summary(result)["position_rmse_m"] < 1.0  # m; 40 m away without the change of frame
 
 
@@ -209,8 +212,8 @@ def stop(*_, **__):
     raise KeyboardInterrupt
 
 
-@pytest.mark.parametrize("where", ["pipeline.run", "outputs.recordings.save_tum",
-                                   "outputs.np.savez_compressed"])
+@pytest.mark.parametrize("where", ["studies.pipeline.run_pipeline", "cli.outputs.recordings.save_tum",
+                                   "cli.outputs.np.savez_compressed"])
 def test_interrupted_run_leaves_things_as_they_were(where, recording, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(f"vislam_edu.{where}", stop)
     new, old = tmp_path / "new", tmp_path / "old"
@@ -243,7 +246,7 @@ def test_ctrl_c_stops_the_program(tmp_path):
 
 
 def test_stopped_simulation_leaves_nothing(tmp_path, monkeypatch):
-    monkeypatch.setattr("vislam_edu.recordings.np.savez_compressed", stop)
+    monkeypatch.setattr("vislam_edu.recordings.layouts.np.savez_compressed", stop)
     assert cli.main(["simulate", "--out", str(tmp_path / "a.npz"), "--frames", "20"]) == 130
     assert files(tmp_path) == []
 
@@ -326,7 +329,7 @@ def test_disk_error_while_writing_is_named(recording, tmp_path, monkeypatch, cap
     def full(*_, **__):
         raise OSError(28, "No space left on device", "result.npz")
 
-    monkeypatch.setattr("vislam_edu.outputs.np.savez_compressed", full)
+    monkeypatch.setattr("vislam_edu.cli.outputs.np.savez_compressed", full)
     assert cli.main(["run", str(recording), "--out", str(tmp_path / "out"), "--quiet"]) == 2
     assert capsys.readouterr().err == "vislam_edu: result.npz: No space left on device\n"
     assert not (tmp_path / "out").exists()
@@ -336,7 +339,7 @@ def test_filter_that_breaks_down_is_one_line(recording, tmp_path, monkeypatch, c
     def broken(*_, **__):
         raise np.linalg.LinAlgError("17-th leading minor not positive definite")
 
-    monkeypatch.setattr("vislam_edu.pipeline.run", broken)
+    monkeypatch.setattr("vislam_edu.studies.pipeline.run_pipeline", broken)
     assert cli.main(["run", str(recording), "--out", str(tmp_path / "out"), "--quiet"]) == 2
     assert "the filter broke down" in capsys.readouterr().err
 
@@ -363,29 +366,14 @@ def test_simulate_is_street_loop(tmp_path, capsys):
     np.testing.assert_array_equal(loaded.pixels, drive.pixels)
 
 
-def test_notebooks_are_forwarded_with_all_their_arguments(monkeypatch):
-    seen = []
-    monkeypatch.setattr("vislam_edu.execute.main", lambda argv: seen.append(argv) or 1)
-    assert cli.main(["notebooks", "--check", "a.ipynb"]) == 1
-    assert seen == [["--check", "a.ipynb"]]
-
-
 @pytest.mark.parametrize("arguments", [[], *([name] for name in cli.COMMANDS)], ids=str)
 def test_help(arguments, capsys):
     with pytest.raises(SystemExit) as stopped:
         cli.main([*arguments, "--help"])
     assert stopped.value.code == 0
     text = capsys.readouterr().out
-    wanted = [*cli.COMMANDS, *cli.MODULES, *cli.FORWARDED] if not arguments else ["usage: python -m vislam_edu"]
+    wanted = cli.COMMANDS if not arguments else [f"usage: python -m vislam_edu {arguments[0]}"]
     assert all(word in text for word in wanted)
-
-
-@pytest.mark.parametrize("name", cli.MODULES)
-def test_help_of_modules(name, capsys):
-    with pytest.raises(SystemExit) as stopped:
-        cli.main([name, "--help"])
-    assert stopped.value.code == 0
-    assert f"usage: python -m vislam_edu {name}" in capsys.readouterr().out
 
 
 # --- run --audit ------------------------------------------------------------------------------------------
@@ -443,7 +431,7 @@ def test_a_filter_that_rejects_a_lot_says_so(tmp_path, capfd):
 
 
 def test_listing_the_commands_imports_no_filter():
-    code = ("import sys; from vislam_edu.__main__ import parser; parser();"
-            "print(sorted({'matplotlib', 'vislam_edu.slam', 'vislam_edu.pipeline'} & set(sys.modules)))")
+    code = ("import sys; from vislam_edu.cli import parser; parser([]);"
+            "print(sorted({'numpy', 'matplotlib', 'vislam_edu.window_slam'} & set(sys.modules)))")
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
     assert done.stdout.strip() == "[]", done.stderr

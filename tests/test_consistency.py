@@ -1,6 +1,5 @@
 """Statistics over seeds: which filters are honest, which are not, and that the study itself is repeatable."""
 
-import argparse
 import functools
 import json
 
@@ -8,10 +7,11 @@ import joblib
 import numpy as np
 import pytest
 
-from vislam_edu import consistency, metrics, se3, simulate, slam
-from vislam_edu.__main__ import main
+from vislam_edu import metrics, se3, simulate, window_slam
+from vislam_edu.cli import main
 from vislam_edu.error_state import RightInvariant, RightPerturbation
 from vislam_edu.noise import Noise
+from vislam_edu.studies import consistency
 
 # Small drives for speed. The gyro is bad and the car fast, so that second-order effects of rotation, which the
 # left Jacobian of the retraction is there for, stand out; pixels are good, so a landmark's depth is Gaussian.
@@ -42,7 +42,7 @@ class NoNoiseOnLandmarks(RightInvariant):
 
 
 def study_of(error_state, seeds, **options):
-    filters = {"it": consistency.Filter(NOISE, error_state, options)}
+    filters = {"it": consistency.FilterConfig(NOISE, error_state, options)}
     return consistency.monte_carlo(make_drive, filters, seeds)["it"]
 
 
@@ -63,7 +63,7 @@ def test_it_is_not_without_the_left_jacobian():
 @pytest.mark.parametrize(("error_state", "options"), [
     (NoNoiseOnLandmarks(), {}),
     (RightPerturbation(), {}),
-    (RightPerturbation(), {"measure": slam.as_report}),
+    (RightPerturbation(), {"process_frame": window_slam.as_report}),
 ], ids=["noise on the pose alone", "right perturbation", "as report"])
 def test_four_drives_show_these_to_be_overconfident(error_state, options):
     seeds = SEEDS[:4]
@@ -77,7 +77,7 @@ def in_world_coordinates(error_state, belief):
 
 
 def last(drive, noise, error_state):
-    *_, step = slam.run(drive, noise, error_state, gate=1)
+    *_, step = window_slam.run(drive, noise, error_state, gate=1)
     return step.posterior
 
 
@@ -110,7 +110,7 @@ def test_where_nothing_is_corrected_both_errors_make_the_same_filter():
 @pytest.mark.parametrize("error_state", [RightPerturbation(), RightInvariant()], ids=lambda e: e.name)
 def test_the_initial_pose_is_as_far_off_as_the_filter_claims(error_state):
     drive = make_short_drive(0)
-    candidate = consistency.Filter(Noise(), error_state)
+    candidate = consistency.FilterConfig(Noise(), error_state)
     starts = np.array([consistency.initial_pose(drive, candidate, seed) for seed in range(1000)])
     nees = metrics.pose_nees(error_state, drive.true_world_T_imu[0], starts,
                              candidate.noise.initial_pose_covariance).pose
@@ -156,7 +156,7 @@ def test_the_error_is_seen_from_the_start_and_in_the_world():
     """A start with a wrong heading on a noise-free drive: wrong in the world, right as seen from the start."""
     drive = simulate.perfect_street_loop(seed=1, frames=40, visible=16, loop_length=500)
     start = se3.exp(np.array([0, 0, 0, 0, 0, 0.1]))
-    run = consistency.judge(drive, consistency.Filter(Noise(), RightInvariant()), start)
+    run = consistency.judge(drive, consistency.FilterConfig(Noise(), RightInvariant()), start)
     from_axis = np.linalg.norm(drive.true_world_T_imu[:, :2, 3], axis=-1)
     np.testing.assert_allclose(run["error_world"], 2 * np.sin(0.05) * from_axis, atol=1e-6)
     np.testing.assert_allclose(run["error"], 0, atol=1e-6)
@@ -164,10 +164,7 @@ def test_the_error_is_seen_from_the_start_and_in_the_world():
 
 
 def test_the_command_writes_its_summary(tmp_path, capsys):
-    parser = argparse.ArgumentParser()
-    consistency.add_arguments(parser)
-    consistency.run(parser.parse_args(
-        ["--seeds", "2", "--frames", "6", "--out", str(tmp_path), "--sigma-v", "0.2"]))
+    assert main(["consistency", "--seeds", "2", "--frames", "6", "--out", str(tmp_path), "--sigma-v", "0.2"]) == 0
     figures = json.loads((tmp_path / "summary.json").read_text())
     assert figures["band_99"] == list(metrics.chi2_band(6, 2))
     assert (figures["runs"], figures["frames"], figures["sigma_v"]) == (2, 6, 0.2)

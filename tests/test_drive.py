@@ -144,7 +144,7 @@ def test_slice(drive, data):
 
 @given(drives(), st.integers(1, 8))
 def test_thin(drive, every):
-    thinned = drive.thin(every)
+    thinned = drive.subsample(every)
     assert np.array_equal(dense(thinned), dense(drive)[:, ::every])
     assert np.array_equal(thinned.truth_landmarks, drive.truth_landmarks[::every])
     assert np.array_equal(thinned.truth_world_T_cam, drive.truth_world_T_cam)
@@ -195,7 +195,7 @@ def test_slice_refuses_to_be_empty(cut):
 @pytest.mark.parametrize("every", [0, -1, 2.5])
 def test_thin_refuses_what_is_no_count(every):
     with pytest.raises(ValueError, match="every"):
-        small_drive().thin(every)
+        small_drive().subsample(every)
 
 
 def test_masks_must_be_boolean_and_of_the_right_length():
@@ -234,7 +234,7 @@ def test_no_truth():
     assert drive.true_world_T_imu is None
     assert drive.true_landmarks is None
     assert small_drive(truth_landmarks=None).true_landmarks is None
-    assert drive.slice(1, 4).thin(2).truth_world_T_cam is None
+    assert drive.slice(1, 4).subsample(2).truth_world_T_cam is None
 
 
 # validation

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numerical import central_difference
 
-from vislam_edu import motion, se3, simulate, slam
+from vislam_edu import motion, se3, simulate, window_slam
 from vislam_edu.error_state import RightInvariant, RightPerturbation
 from vislam_edu.motion import Belief
 from vislam_edu.noise import Noise
@@ -93,7 +93,7 @@ def test_carry_is_F_P_Ft_plus_N_Q_Nt(drive, error_state, model, tail):
     before = belief(drive, tail)
     transition = model(drive, Noise(), error_state).transition(before, 3)
     F, NN = dense(transition, 3 * N, "F"), dense(transition, 3 * N, "N")
-    P = motion.carry(before, transition).covariance
+    P = motion.propagate(before, transition).covariance
     np.testing.assert_allclose(P, F @ before.covariance @ F.T + NN @ transition.Q @ NN.T, atol=1e-12)
     np.testing.assert_array_equal(P, P.T)
 
@@ -101,16 +101,16 @@ def test_carry_is_F_P_Ft_plus_N_Q_Nt(drive, error_state, model, tail):
 @pytest.mark.parametrize("error_state", BOTH)
 def test_measurement_jacobians(drive, error_state):
     estimate = belief(drive)
-    sensors = slam.Sensors(drive.camera, Noise(), error_state, np.inf, 0.0)
+    sensors = window_slam.UpdateSettings(drive.camera, Noise(), error_state, np.inf, 0.0)
     rows = np.array([0, 2, 3])
-    _predicted, in_front, H_l, H_p = slam.linearise(estimate, rows, sensors)
+    _predicted, in_front, H_l, H_p = window_slam.linearise(estimate, rows, sensors)
     assert in_front.all()
 
     def seen(error):
         true = true_state(estimate, error, error_state)
-        return slam.reduce_rows(drive.camera.observe(true.world_T_imu, true.landmarks[rows])[0]).ravel()
+        return window_slam.reduce_rows(drive.camera.observe(true.world_T_imu, true.landmarks[rows])[0]).ravel()
 
-    H = slam.times_H(np.eye(3 * N + 6), rows, H_l, H_p, N)
+    H = window_slam.times_H(np.eye(3 * N + 6), rows, H_l, H_p, N)
     assert_same(H, central_difference(seen, 3 * N + 6))
 
 
@@ -176,7 +176,7 @@ def test_twist_and_bias_finds_the_bias():
     bias, scores = np.array([0.01, -0.008, 0.006]), []
     for seed in range(8):
         drive = simulate.street_loop(seed=seed, frames=150, visible=20, gyro_bias=tuple(bias))
-        *_, step = slam.run(drive, Noise(), RightInvariant(), motion_model=motion.TwistAndBias)
+        *_, step = window_slam.run(drive, Noise(), RightInvariant(), motion_model=motion.TwistAndBias)
         sigma = np.sqrt(np.diag(step.posterior.covariance)[-3:])
         assert (sigma < 0.006).all()  # it learned something: the prior is 0.02, one sample 0.05
         scores.append((step.posterior.motion[-3:] - bias) / sigma)

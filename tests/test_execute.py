@@ -10,7 +10,7 @@ import pytest
 from nbformat import v4
 from PIL import Image, PngImagePlugin
 
-from vislam_edu import execute
+from vislam_edu.cli import main, notebooks
 
 CELLS = [
     v4.new_markdown_cell("# A notebook"),
@@ -38,7 +38,7 @@ def executed(tmp_path_factory):
     path = write(tmp_path_factory.mktemp("execute") / "folder" / "notebook.ipynb", CELLS)
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("MPLBACKEND", "agg")       # would keep the figure out of the outputs
-        assert execute.main([str(path)]) == 0
+        assert main(["notebooks", str(path)]) == 0
     return path
 
 
@@ -57,22 +57,22 @@ def test_outputs_are_stored_and_the_notebook_runs_in_its_folder(executed):
 
 def test_a_second_run_changes_nothing(executed, capsys):
     before = executed.read_bytes()
-    assert execute.main(["--check", str(executed)]) == 0
-    assert execute.main([str(executed)]) == 0
+    assert main(["notebooks", "--check", str(executed)]) == 0
+    assert main(["notebooks", str(executed)]) == 0
     assert executed.read_bytes() == before
     assert [file.name for file in executed.parent.iterdir()] == ["notebook.ipynb"]
 
 
 def test_only_what_an_author_wrote_stays_in_the_metadata(executed):
     notebook = nbformat.read(executed, as_version=4)
-    assert notebook.metadata == {"kernelspec": execute.KERNELSPEC, "language_info": {"name": "python"}}
+    assert notebook.metadata == {"kernelspec": notebooks.KERNELSPEC, "language_info": {"name": "python"}}
     assert [cell.metadata for cell in notebook.cells[:-1]] == [{}] * 5
     assert notebook.cells[-1].metadata == {"tags": ["kept"], "nbgrader": {"grade": True}}
     assert [cell.id for cell in notebook.cells] == [cell.id for cell in CELLS]
 
 
 def test_widget_ids_are_numbered_in_order_of_appearance(executed):
-    ids = [outputs(executed, cell)[0].data[execute.WIDGET_VIEW]["model_id"] for cell in (4, 5)]
+    ids = [outputs(executed, cell)[0].data[notebooks.WIDGET_VIEW]["model_id"] for cell in (4, 5)]
     assert ids == [f"{0:032x}", f"{1:032x}"]
 
 
@@ -95,7 +95,7 @@ def test_removing_text_chunks_keeps_every_pixel():
     commented = io.BytesIO()
     Image.open(drawn).save(commented, "png", pnginfo=comments, dpi=(100, 100))
 
-    stripped = Image.open(io.BytesIO(execute.without_text_chunks(commented.getvalue())))
+    stripped = Image.open(io.BytesIO(notebooks.without_text_chunks(commented.getvalue())))
     assert Image.open(commented).text != {}
     assert stripped.text == {}
     assert stripped.tobytes() == Image.open(commented).tobytes()
@@ -107,7 +107,7 @@ def test_check_names_the_first_cell_that_differs_and_writes_nothing(executed, tm
     path.parent.mkdir()
     path.write_text(executed.read_text().replace("second line\\n\"", "another line\\n\""))
     before = path.read_bytes()
-    assert execute.main(["--check", str(path)]) == 1
+    assert main(["notebooks", "--check", str(path)]) == 1
     assert path.read_bytes() == before
     report = capsys.readouterr().out
     assert f"{path}: cell 3 (print(Path.cwd().name)): outputs: stored" in report
@@ -118,7 +118,7 @@ def test_a_failing_cell_is_named_and_the_other_notebooks_still_run(tmp_path, cap
     fails = write(tmp_path / "fails.ipynb", [v4.new_code_cell("x = 1"), v4.new_code_cell("1 / 0")])
     works = write(tmp_path / "works.ipynb", [v4.new_code_cell("print('ran')")])
     before = fails.read_bytes()
-    assert execute.main(["--timings", str(fails), str(works)]) == 1
+    assert main(["notebooks", "--timings", str(fails), str(works)]) == 1
     assert fails.read_bytes() == before
     assert outputs(works, 0)[0].text == "ran\n"
     report = capsys.readouterr().out
@@ -128,12 +128,12 @@ def test_a_failing_cell_is_named_and_the_other_notebooks_still_run(tmp_path, cap
 
 def test_a_dead_kernel_and_a_timeout_name_their_cell(tmp_path, monkeypatch):
     dies = write(tmp_path / "dies.ipynb", [v4.new_code_cell("import os\nos._exit(1)")])
-    with pytest.raises(execute.NotebookError, match=r"dies.ipynb: cell 1 \(import os\): the kernel died"):
-        execute.run(dies)
-    monkeypatch.setattr(execute, "CELL_TIMEOUT", 1)
+    with pytest.raises(notebooks.NotebookError, match=r"dies.ipynb: cell 1 \(import os\): the kernel died"):
+        notebooks.execute(dies)
+    monkeypatch.setattr(notebooks, "CELL_TIMEOUT", 1)
     sleeps = write(tmp_path / "sleeps.ipynb", [v4.new_code_cell("import time\ntime.sleep(60)")])
-    with pytest.raises(execute.NotebookError, match=r"cell 1 \(import time\): still running after 1 s"):
-        execute.run(sleeps)
+    with pytest.raises(notebooks.NotebookError, match=r"cell 1 \(import time\): still running after 1 s"):
+        notebooks.execute(sleeps)
 
 
 @pytest.mark.parametrize("content", ["not json", '{"nbformat": 4}', None], ids=["text", "empty", "missing"])
@@ -141,16 +141,14 @@ def test_an_unreadable_notebook_is_named(tmp_path, capsys, content):
     path = tmp_path / "broken.ipynb"
     if content is not None:
         path.write_text(content)
-    assert execute.main([str(path)]) == 1
+    assert main(["notebooks", str(path)]) == 1
     assert f"failed: {path}: not a readable notebook" in capsys.readouterr().out
 
 
 def test_nothing_to_run_and_a_missing_package_are_said_plainly(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(execute, "NOTEBOOKS", tmp_path)
-    with pytest.raises(SystemExit):
-        execute.main([])
+    monkeypatch.setattr(notebooks, "NOTEBOOKS", tmp_path)
+    assert main(["notebooks"]) == 2
     assert f"no notebooks in {tmp_path}" in capsys.readouterr().err
-    monkeypatch.setattr(execute.importlib.util, "find_spec", lambda name: name != "nbclient" or None)
-    with pytest.raises(SystemExit):
-        execute.main(["any.ipynb"])
+    monkeypatch.setattr(notebooks.importlib.util, "find_spec", lambda name: name != "nbclient" or None)
+    assert main(["notebooks", "any.ipynb"]) == 2
     assert "nbclient is needed to run notebooks: python -m pip install" in capsys.readouterr().err

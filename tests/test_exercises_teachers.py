@@ -13,7 +13,7 @@ import nbformat
 import pytest
 from nbformat import v4
 
-from vislam_edu import __main__ as command_line
+from vislam_edu import cli as command_line
 from vislam_edu.exercises import EXERCISES, cells, grading, museum, report
 from vislam_edu.exercises.verdict import NOT_WRITTEN, RIGHT, WRONG
 

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from vislam_edu import faults, se3, simulate
+from vislam_edu import se3, simulate
+from vislam_edu.simulate import faults
 
 
 @pytest.fixture(scope="module")

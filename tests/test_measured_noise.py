@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from vislam_edu import faults, measured_noise, recordings, simulate
+from vislam_edu import recordings, simulate
+from vislam_edu.audit import measured_noise
+from vislam_edu.simulate import faults
 
 SIZES = [(0.5, 0.05, 0.7), (0.1, 0.01, 0.3), (1.0, 0.2, 1.0), (0.2, 0.02, 1.5), (0.05, 0.005, 0.5)]
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from memory import peak
 
-from vislam_edu import simulate, slam, smoother
+from vislam_edu import simulate, smoother, window_slam
 from vislam_edu.noise import Noise
 
 NOISE = Noise()
@@ -19,7 +19,7 @@ def drive():
 
 
 def forward(drive):
-    deque(slam.run(drive, NOISE), maxlen=1)
+    deque(window_slam.run(drive, NOISE), maxlen=1)
 
 
 def covariance_of_all(drive):

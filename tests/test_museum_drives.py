@@ -3,11 +3,12 @@
 import numpy as np
 import pytest
 
-from vislam_edu import consistency, kalman, motion, museum_drives, simulate, slam
+from vislam_edu import kalman, motion, simulate, window_slam
 from vislam_edu.error_state import RightPerturbation
 from vislam_edu.exercises import EXERCISES
-from vislam_edu.museum_drives import PIECES, Piece, Visit, visit
 from vislam_edu.noise import Noise
+from vislam_edu.studies import broken_filters, consistency
+from vislam_edu.studies.broken_filters import PIECES, Piece, Visit, visit
 
 NOISE = Noise(sigma_v=0.3, sigma_omega=0.01)
 KNOWN = {name: piece for name, piece in PIECES.items() if piece.exercise}
@@ -20,7 +21,7 @@ def drive():
 
 @pytest.fixture(scope="module")
 def start(drive):
-    return consistency.initial_pose(drive, consistency.Filter(NOISE, RightPerturbation()), 3)
+    return consistency.initial_pose(drive, consistency.FilterConfig(NOISE, RightPerturbation()), 3)
 
 
 @pytest.fixture(scope="module")
@@ -31,13 +32,13 @@ def visits(drive, start):
 @pytest.fixture(scope="module")
 def belief(drive, start):
     """The right filter's belief after some frames, far from the identity."""
-    *_, last = slam.run(drive, NOISE, gate=1, world_T_imu=start)
+    *_, last = window_slam.run(drive, NOISE, gate=1, world_T_imu=start)
     return last.posterior
 
 
 @pytest.fixture(scope="module")
 def sensors(drive):
-    return slam.Sensors(drive.camera, NOISE, RightPerturbation(), threshold=np.inf, min_disparity=1.0)
+    return window_slam.UpdateSettings(drive.camera, NOISE, RightPerturbation(), threshold=np.inf, min_disparity=1.0)
 
 
 def wrong_version(piece):
@@ -56,7 +57,7 @@ def test_every_piece_but_the_right_one_hangs_in_an_exercise_too():
 
 
 def test_the_right_one_is_the_package_and_every_mistake_stops_it_or_changes_the_path(drive, start, visits):
-    poses = [step.posterior.world_T_imu for step in slam.run(drive, NOISE, gate=1, world_T_imu=start)]
+    poses = [step.posterior.world_T_imu for step in window_slam.run(drive, NOISE, gate=1, world_T_imu=start)]
     np.testing.assert_array_equal(visits["right"].world_T_imu, poses)
     for name in KNOWN:
         path, stopped = visits[name].world_T_imu, visits[name].stopped
@@ -102,14 +103,14 @@ def test_prediction_without_the_cross_terms_is_that_of_the_exercise(drive, belie
     transition = right.transition(belief, 5)
     W = transition.N_tail @ transition.Q @ transition.N_tail.T
     expected = wrong_version(PIECES["cross"])(belief.covariance, transition.F_tail, W)
-    model = museum_drives.CrossNotPropagated(drive, NOISE, RightPerturbation())
+    model = broken_filters.CrossNotPropagated(drive, NOISE, RightPerturbation())
     np.testing.assert_allclose(model.predict(belief, 5).covariance, expected, atol=1e-15)
 
 
 def test_motion_pieces_change_the_noise_or_the_twist_only(drive):
     right, unscaled, swapped, degrees = (
         kind(drive, NOISE, RightPerturbation())
-        for kind in (motion.ImuDriven, museum_drives.NoiseWithoutTau, museum_drives.SwappedTwist, museum_drives.Degrees)
+        for kind in (motion.ImuDriven, broken_filters.NoiseWithoutTau, broken_filters.SwappedTwist, broken_filters.Degrees)
     )
     np.testing.assert_allclose(unscaled.body_noise * drive.taus[:, None, None], right.body_noise)
     np.testing.assert_array_equal(unscaled.increments, right.increments)
@@ -122,21 +123,21 @@ def frame_with_births(drive, belief):
     """A belief that has forgotten three of its landmarks, and a frame in which they are seen again."""
     keep = np.arange(len(belief.ids)) >= 3
     ids, pixels = drive.observed(drive.n_frames - 1)
-    return slam.select(belief, keep), ids, pixels, belief.ids[~keep]
+    return window_slam.marginalise(belief, keep), ids, pixels, belief.ids[~keep]
 
 
 def test_uncorrelated_births_keep_all_but_the_correlation(drive, belief, sensors):
     prior, ids, pixels, new = frame_with_births(drive, belief)
-    _, right, _ = slam.correlated(prior, ids, pixels, sensors)
-    _, wrong, _ = museum_drives.born_uncorrelated(prior, ids, pixels, sensors)
-    at = np.flatnonzero(slam.contains(new, right.ids))
+    _, right, _ = window_slam.correlated(prior, ids, pixels, sensors)
+    _, wrong, _ = broken_filters.born_uncorrelated(prior, ids, pixels, sensors)
+    at = np.flatnonzero(window_slam.contains(new, right.ids))
     assert len(at) == 3
     np.testing.assert_array_equal(wrong.landmark_covariance, right.landmark_covariance)
     for i in at:
         rest = np.delete(wrong.covariance[3 * i:3 * i + 3], np.r_[3 * i:3 * i + 3], axis=1)
         assert not rest.any()
         assert np.delete(right.covariance[3 * i:3 * i + 3], np.r_[3 * i:3 * i + 3], axis=1).any()
-    old = np.append(np.repeat(~slam.contains(new, right.ids), 3), np.ones(6, bool))
+    old = np.append(np.repeat(~window_slam.contains(new, right.ids), 3), np.ones(6, bool))
     np.testing.assert_array_equal(wrong.covariance[np.ix_(old, old)], right.covariance[np.ix_(old, old)])
 
 
@@ -144,8 +145,8 @@ def test_used_twice_halves_the_variance_that_triangulation_left(drive, start, se
     """With a pose known to a hair only the triangulation counts, and two equal measurements halve it."""
     prior = motion.start(Noise(initial_pose_covariance=1e-14 * np.eye(6)), start)
     ids, pixels = drive.observed(0)
-    _, once, _ = slam.correlated(prior, ids, pixels, sensors)
-    _, twice, _ = museum_drives.used_twice(prior, ids, pixels, sensors)
+    _, once, _ = window_slam.correlated(prior, ids, pixels, sensors)
+    _, twice, _ = broken_filters.used_twice(prior, ids, pixels, sensors)
     np.testing.assert_allclose(twice.landmark_covariance, once.landmark_covariance / 2, rtol=1e-3, atol=1e-8)
 
 

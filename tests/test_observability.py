@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from numerical import central_difference
 
-from vislam_edu import observability, se3, simulate, slam
+from vislam_edu import se3, simulate, window_slam
 from vislam_edu.error_state import RightInvariant, RightPerturbation
 from vislam_edu.noise import Noise
+from vislam_edu.studies import observability
 
 RIGHT_PERTURBATION, RIGHT_INVARIANT = RightPerturbation(), RightInvariant()
 WINDOW = slice(20, 32)
@@ -22,7 +23,7 @@ def drive():
 
 @functools.cache
 def steps(error_state):
-    return list(slam.run(drive(), Noise(), error_state))
+    return list(window_slam.run(drive(), Noise(), error_state))
 
 
 def matrix(error_state, at):

@@ -9,16 +9,16 @@ from matplotlib.path import Path
 from numerical import central_difference
 from scipy.stats import chi2, multivariate_normal
 
-from vislam_edu import mapping, odometry, pipeline, se3, simulate, slam
+from vislam_edu import mapping, odometry, se3, simulate, window_slam
 from vislam_edu.error_state import RightInvariant, RightPerturbation
 from vislam_edu.noise import Noise
-from vislam_edu.pictures import joint, localisation, stereo_depth, twist
-from vislam_edu.pictures.joint import JointPicture
-from vislam_edu.pictures.localisation import LocalisationPicture
-from vislam_edu.pictures.mapping import MappingPicture
-from vislam_edu.pictures.stereo_depth import StereoDepthPicture
-from vislam_edu.pictures.twist import TwistPicture
-from vislam_edu.widgets import Panel, Stepper
+from vislam_edu.studies import pipeline
+from vislam_edu.widgets import Panel, Stepper, joint, localisation, stereo_depth, twist
+from vislam_edu.widgets.joint import JointPicture
+from vislam_edu.widgets.localisation import LocalisationPicture
+from vislam_edu.widgets.mapping import MappingPicture
+from vislam_edu.widgets.stereo_depth import StereoDepthPicture
+from vislam_edu.widgets.twist import TwistPicture
 
 NOISE = Noise()
 RADIUS2 = chi2.ppf(0.95, 2)
@@ -43,12 +43,12 @@ def localised(drive):
 
 @pytest.fixture(scope="module")
 def joint_steps(drive):
-    return list(slam.run(drive, NOISE))
+    return list(window_slam.run(drive, NOISE))
 
 
 @pytest.fixture(scope="module")
 def joined(drive, joint_steps):
-    without = slam.run(drive, NOISE, measure=slam.without_cross_covariance(slam.correlated))
+    without = window_slam.run(drive, NOISE, process_frame=window_slam.without_cross_covariance(window_slam.correlated))
     return JointPicture(joint_steps, drive, NOISE, without=without)
 
 
@@ -320,7 +320,7 @@ def test_new_and_retired_landmarks_are_marked(joined):
 
 
 def test_joint_nis_is_that_of_all_four_numbers_less_their_pure_noise(drive, joint_steps):
-    sensors = slam.Sensors(drive.camera, NOISE, RightPerturbation(), np.inf, 0.0)
+    sensors = window_slam.UpdateSettings(drive.camera, NOISE, RightPerturbation(), np.inf, 0.0)
     for k in (1, 30):
         step = joint_steps[k]
         prior, innovation = step.prior, step.innovation
@@ -341,7 +341,7 @@ def test_joint_nis_is_that_of_all_four_numbers_less_their_pure_noise(drive, join
 
 @pytest.mark.parametrize("error_state", [RightPerturbation(), RightInvariant()])
 def test_world_covariance_of_the_landmarks_against_central_differences(drive, error_state):
-    belief = list(slam.run(drive.slice(0, 20), NOISE, error_state))[-1].posterior
+    belief = list(window_slam.run(drive.slice(0, 20), NOISE, error_state))[-1].posterior
 
     def landmarks(delta):
         return error_state.retract(belief.world_T_imu, belief.landmarks, delta)[1].ravel()

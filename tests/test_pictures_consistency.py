@@ -10,14 +10,14 @@ from matplotlib.path import Path
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from vislam_edu import consistency, metrics, simulate, slam
+from vislam_edu import metrics, simulate, window_slam
 from vislam_edu.error_state import RightInvariant, RightPerturbation
 from vislam_edu.noise import Noise
-from vislam_edu.pictures import tuning
-from vislam_edu.pictures.canvas import Decades
-from vislam_edu.pictures.tuning import TuningPicture
-from vislam_edu.pictures.two_filters import TwoFiltersPicture
-from vislam_edu.widgets import Panel
+from vislam_edu.studies import consistency
+from vislam_edu.widgets import Panel, tuning
+from vislam_edu.widgets.canvas import Decades
+from vislam_edu.widgets.tuning import TuningPicture
+from vislam_edu.widgets.two_filters import TwoFiltersPicture
 
 NOISE = Noise()
 REPORT = {"sigma_v": 0.1, "sigma_omega": 0.00316, "sigma_px": 15**0.5, "report_birth": True}
@@ -31,7 +31,7 @@ def drive():
 
 @pytest.fixture(scope="module")
 def start(drive):
-    return consistency.initial_pose(drive, consistency.Filter(NOISE, RightPerturbation()), seed=0)
+    return consistency.initial_pose(drive, consistency.FilterConfig(NOISE, RightPerturbation()), seed=0)
 
 
 @pytest.fixture(scope="module")
@@ -41,7 +41,7 @@ def tuned(drive, start):
 
 @pytest.fixture(scope="module")
 def pair(drive, start):
-    return [list(slam.run(drive, NOISE, error, world_T_imu=start)) for error in (RightPerturbation(), RightInvariant())]
+    return [list(window_slam.run(drive, NOISE, error, world_T_imu=start)) for error in (RightPerturbation(), RightInvariant())]
 
 
 @pytest.fixture(scope="module")
@@ -76,8 +76,8 @@ def test_what_every_picture_must_stand(check, pictures):
 def test_a_setting_is_the_run_of_the_filter_it_stands_for(tuned, drive, start, invariant, report_birth):
     noise = Noise(0.2, 0.1, 1.5, 4 * NOISE.initial_pose_covariance)
     error_state = RightInvariant() if invariant else RightPerturbation()
-    measure = slam.as_report if report_birth else slam.correlated
-    steps = list(slam.run(drive, noise, error_state, measure=measure, gate=1, world_T_imu=start))
+    process_frame = window_slam.as_report if report_birth else window_slam.correlated
+    steps = list(window_slam.run(drive, noise, error_state, process_frame=process_frame, gate=1, world_T_imu=start))
     poses = np.array([step.posterior.world_T_imu for step in steps])
     claimed = np.array([step.posterior.pose_covariance for step in steps])
 
@@ -134,7 +134,7 @@ def test_true_noise_and_the_invariant_error_pass_what_the_report_fails(tuned):
 
 def test_each_setting_is_run_once(tuned, monkeypatch):
     first = tuned.outcome(**REPORT)
-    monkeypatch.setattr(slam, "run", None)
+    monkeypatch.setattr(window_slam, "run", None)
     assert tuned.outcome(**tuned.start | REPORT) is first
 
 

@@ -5,13 +5,14 @@ import picture_checks
 import pytest
 from matplotlib.colors import to_hex
 
-from vislam_edu import consistency, simulate
+from vislam_edu import simulate
 from vislam_edu.error_state import RightPerturbation
-from vislam_edu.museum_drives import PIECES, visit
 from vislam_edu.noise import Noise
-from vislam_edu.pictures.museum_tour import LIMITS, MuseumPicture, gallery, view
-from vislam_edu.style import COLOURS
+from vislam_edu.plots.style import COLOURS
+from vislam_edu.studies import consistency
+from vislam_edu.studies.broken_filters import PIECES, visit
 from vislam_edu.widgets import Panel
+from vislam_edu.widgets.museum_tour import LIMITS, MuseumPicture, gallery, view
 
 
 @pytest.fixture(scope="module")
@@ -21,7 +22,7 @@ def drive():
 
 @pytest.fixture(scope="module")
 def visits(drive):
-    start = consistency.initial_pose(drive, consistency.Filter(Noise(), RightPerturbation()), 1)
+    start = consistency.initial_pose(drive, consistency.FilterConfig(Noise(), RightPerturbation()), 1)
     return [visit(PIECES[name], drive, Noise(), start) for name in ("right", "sign", "bearings", "birth")]
 
 

@@ -11,12 +11,14 @@ from matplotlib.collections import LineCollection
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
-from vislam_edu import odometry, pipeline, plots, report_figures, se3, slam, style
+from vislam_edu import odometry, plots, se3, window_slam
 from vislam_edu.error_state import RightInvariant, RightPerturbation
 from vislam_edu.motion import Belief
 from vislam_edu.noise import Noise
 from vislam_edu.odometry import Trajectory
+from vislam_edu.plots import report_figures, style
 from vislam_edu.simulate import street_loop
+from vislam_edu.studies import pipeline
 
 NOISE = Noise()
 
@@ -28,7 +30,7 @@ def drive():
 
 @pytest.fixture(scope="module")
 def result(drive):
-    return pipeline.run(drive, NOISE)
+    return pipeline.run_pipeline(drive, NOISE)
 
 
 def lines(axes):
@@ -281,7 +283,7 @@ def test_first_sight_claims_what_it_is_wrong_by():
 
 @pytest.mark.parametrize("error_state", [RightPerturbation(), RightInvariant()], ids=lambda e: e.name)
 def test_listening_keeps_what_the_steps_said(drive, error_state):
-    steps = list(slam.run(drive, NOISE, error_state))
+    steps = list(window_slam.run(drive, NOISE, error_state))
     told = pipeline.collect_slam(drive, iter(steps), error_state)
     np.testing.assert_array_equal(told.trajectory.world_T_imu, [s.posterior.world_T_imu for s in steps])
     last = {}

@@ -14,13 +14,15 @@ import pytest
 from evo.core.trajectory import PosePath3D
 from evo.tools import file_interface
 
-from vislam_edu import __main__ as command_line
-from vislam_edu import consensus, faults, kalman, motion, pipeline, recordings, simulate, slam
+from vislam_edu import cli as command_line
+from vislam_edu import consensus, kalman, motion, recordings, simulate, window_slam
 from vislam_edu.audit import audit
 from vislam_edu.error_state import RightInvariant, RightPerturbation
 from vislam_edu.noise import Noise
-from vislam_edu.pictures.cures_panel import CuresPicture, ground
+from vislam_edu.simulate import faults
+from vislam_edu.studies import pipeline
 from vislam_edu.widgets import Panel
+from vislam_edu.widgets.cures_panel import CuresPicture, ground
 
 SEEDS = range(4)
 FRAMES = 150
@@ -71,7 +73,7 @@ def test_03_agrees_with_itself_once_cured(run_03):
 @pytest.mark.parametrize("name", ["03.npz", "0027.npz"])
 def test_a_recording_as_it_is_raises_a_warning(name):
     drive = recordings.load(recording(name)).slice(0, 150)
-    assert pipeline.run(drive, Noise(sigma_px=pipeline.TRACK_SIGMA_PX), RightInvariant()).warnings
+    assert pipeline.run_pipeline(drive, Noise(sigma_px=pipeline.TRACK_SIGMA_PX), RightInvariant()).warnings
 
 
 @pytest.mark.parametrize("run", ["run_0027", "run_03"])
@@ -102,16 +104,16 @@ def test_evo_measures_the_same_error(run_0027):
 # --- outlier tracks, planted --------------------------------------------------------------------------------
 
 
-def steps_of(drive, model, measure, error_state=RightInvariant):
-    return slam.run(drive, Noise(), error_state(), motion_model=MODELS[model], measure=measure)
+def steps_of(drive, model, process_frame, error_state=RightInvariant):
+    return window_slam.run(drive, Noise(), error_state(), motion_model=MODELS[model], process_frame=process_frame)
 
 
 @cache
-def rmse(seed, share, model, measure=consensus.measure):
+def rmse(seed, share, model, process_frame=consensus.process_frame):
     """Position RMSE, m, with a share of the tracks wrong; every covariance of every frame must be positive definite."""
     drive = street(seed, share)
     squares = []
-    for step in steps_of(drive, model, measure):
+    for step in steps_of(drive, model, process_frame):
         np.linalg.cholesky(step.posterior.covariance)  # raises LinAlgError when it is not
         squares.append(np.sum((step.posterior.world_T_imu - drive.true_world_T_imu[step.k])[:3, 3] ** 2))
     return np.sqrt(np.mean(squares))
@@ -133,24 +135,24 @@ def test_ten_per_cent_outlier_tracks_at_most_double_the_error(seed, model):
 @pytest.mark.parametrize("model", MODELS)
 def test_agreement_costs_nothing_on_a_clean_drive(model):
     with_agreement = np.mean([rmse(seed, 0.0, model) for seed in SEEDS])
-    assert with_agreement < 1.1 * np.mean([rmse(seed, 0.0, model, slam.correlated) for seed in SEEDS])
+    assert with_agreement < 1.1 * np.mean([rmse(seed, 0.0, model, window_slam.correlated) for seed in SEEDS])
 
 
 @pytest.mark.parametrize("model", MODELS)
 def test_a_gate_for_each_landmark_alone_is_not_enough(model):
     """So the doubling above is a bound that a filter can break."""
     for seed in SEEDS:
-        assert rmse(seed, 0.1, model, slam.correlated) > 2 * rmse(seed, 0.0, model, slam.correlated)
+        assert rmse(seed, 0.1, model, window_slam.correlated) > 2 * rmse(seed, 0.0, model, window_slam.correlated)
 
 
 @pytest.mark.parametrize("error_state", [RightInvariant, RightPerturbation])
-@pytest.mark.parametrize("measure", [slam.correlated, consensus.measure])
+@pytest.mark.parametrize("process_frame", [window_slam.correlated, consensus.process_frame])
 @pytest.mark.parametrize("model", MODELS)
 @pytest.mark.parametrize("seed", SEEDS[:2])
-def test_thirty_per_cent_outlier_tracks_are_said_aloud(seed, model, measure, error_state):
+def test_thirty_per_cent_outlier_tracks_are_said_aloud(seed, model, process_frame, error_state):
     for share, warned in ((0.0, False), (0.3, True)):
         drive = street(seed, share).slice(0, 100)
-        steps = steps_of(drive, model, measure, error_state)
+        steps = steps_of(drive, model, process_frame, error_state)
         joint = pipeline.collect_slam(drive, steps, error_state())
         result = pipeline.Result(drive, Noise(), None, None, None, joint)
         assert bool(result.warnings) == warned
@@ -160,17 +162,17 @@ def test_thirty_per_cent_outlier_tracks_are_said_aloud(seed, model, measure, err
 def test_what_agrees_is_judged_by_what_the_others_say():
     """One landmark displaced by less than its own gate allows is left out, and the update is that of the rest alone."""
     drive = simulate.street_loop(seed=0, frames=60)
-    step = list(slam.run(drive, Noise(), RightInvariant()))[-1]
-    sensors = slam.Sensors(drive.camera, Noise(), RightInvariant(), kalman.gate_threshold(0.99), 1.0)
+    step = list(window_slam.run(drive, Noise(), RightInvariant()))[-1]
+    sensors = window_slam.UpdateSettings(drive.camera, Noise(), RightInvariant(), kalman.gate_threshold(0.99), 1.0)
     ids, pixels = step.innovation.ids[step.innovation.accepted], step.innovation.measured[step.innovation.accepted]
     i = len(ids) // 2
     wrong = pixels.copy()
     wrong[i] += [4.0, 4.0, 4.0, 4.0]
-    alone = slam.update(step.prior, ids, wrong, sensors)[1]
+    alone = window_slam.update(step.prior, ids, wrong, sensors)[1]
     assert alone.accepted[i]
     posterior, innovation = consensus.update(step.prior, ids, wrong, sensors)
     assert not innovation.accepted[i]
-    rest, _ = slam.update(step.prior, ids[innovation.accepted], wrong[innovation.accepted], sensors)
+    rest, _ = window_slam.update(step.prior, ids[innovation.accepted], wrong[innovation.accepted], sensors)
     np.testing.assert_allclose(posterior.world_T_imu, rest.world_T_imu, atol=1e-12)
     np.testing.assert_allclose(posterior.covariance, rest.covariance, atol=1e-12)
 

@@ -166,7 +166,7 @@ def test_a_failed_save_leaves_the_old_file_and_no_other(tmp_path, monkeypatch):
 
     monkeypatch.setattr(np, "savez_compressed", half_written)
     with pytest.raises(OSError, match="disk full"):
-        recordings.save(drive.thin(2), path)
+        recordings.save(drive.subsample(2), path)
     assert path.read_bytes() == before
     assert sorted(tmp_path.iterdir()) == files
 
@@ -470,7 +470,7 @@ def test_a_large_recording_needs_little_more_memory_than_its_dense_array(tmp_pat
 
     def use():
         drives.append(recordings.load(tmp_path / "10.npz"))
-        _ = drives[0].thin(10), drives[0].slice(100, 600), drives[0].observed(500), drives[0].step_twists
+        _ = drives[0].subsample(10), drives[0].slice(100, 600), drives[0].observed(500), drives[0].step_twists
 
     dense = 32 * shape[0] * shape[1]  # bytes
     assert peak(use) < 1.3 * dense

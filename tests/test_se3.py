@@ -97,8 +97,8 @@ def test_group_axioms(triple):
 def test_adjoint_is_a_homomorphism_and_carries_twists(pair):
     A, xi = se3.exp(pair[0]), pair[1]
     B = se3.exp(xi)
-    Ad = se3.Adjoint(A)
-    assert_allclose(se3.Adjoint(A @ B), Ad @ se3.Adjoint(B), rtol=0, atol=1e-10)
+    Ad = se3.adjoint(A)
+    assert_allclose(se3.adjoint(A @ B), Ad @ se3.adjoint(B), rtol=0, atol=1e-10)
     assert_allclose(A @ se3.hat(xi) @ se3.inverse(A), se3.hat(np.matvec(Ad, xi)), rtol=0, atol=1e-10)
     assert_allclose(A @ B @ se3.inverse(A), se3.exp(np.matvec(Ad, xi)), rtol=0, atol=1e-10)
 
@@ -179,7 +179,7 @@ def test_left_jacobian_is_its_series_and_adjoint_is_an_exponential(xi):
     X = se3.curly_hat(xi)
     assert_allclose(se3.left_jacobian(xi), series(X), rtol=0, atol=EXACT)
     assert_allclose(se3.so3_left_jacobian(xi[3:]), series(se3.so3_hat(xi[3:])), rtol=0, atol=EXACT)
-    assert_allclose(se3.Adjoint(se3.exp(xi)), expm(X), rtol=0, atol=EXACT * 10)
+    assert_allclose(se3.adjoint(se3.exp(xi)), expm(X), rtol=0, atol=EXACT * 10)
 
 
 @pytest.mark.parametrize("xi", [xi for xi in special_twists() if np.linalg.norm(xi[3:]) > 0.1])
@@ -256,7 +256,7 @@ def test_inverse_jacobians_invert(xi):
 def test_jacobians_of_the_two_sides(xi):
     """J_r(xi) = J_l(-xi), and J_l = Ad J_r: a change on the right reaches the left through the Adjoint."""
     assert np.array_equal(se3.right_jacobian(xi), se3.left_jacobian(-xi))
-    carried = se3.Adjoint(se3.exp(xi)) @ se3.right_jacobian(xi)
+    carried = se3.adjoint(se3.exp(xi)) @ se3.right_jacobian(xi)
     assert_allclose(se3.left_jacobian(xi), carried, rtol=0, atol=EXACT * 100)
     moved = np.matvec(se3.so3_left_jacobian(xi[..., 3:]), xi[..., :3])
     assert_allclose(se3.exp(xi)[..., :3, 3], moved, rtol=0, atol=EXACT * 30)
@@ -271,7 +271,7 @@ OF_A_VECTOR = [
     (se3.right_jacobian, 6), (se3.right_jacobian_inverse, 6),
 ]  # fmt: skip
 OF_A_MATRIX = [
-    (se3.so3_vee, 3), (se3.so3_log, 3), (se3.vee, 4), (se3.log, 4), (se3.inverse, 4), (se3.Adjoint, 4),
+    (se3.so3_vee, 3), (se3.so3_log, 3), (se3.vee, 4), (se3.log, 4), (se3.inverse, 4), (se3.adjoint, 4),
 ]  # fmt: skip
 
 

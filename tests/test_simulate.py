@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from vislam_edu import recordings, se3, simulate, streets
+from vislam_edu import recordings, se3, simulate
+from vislam_edu.simulate import streets
 
 
 @pytest.fixture(scope="module")

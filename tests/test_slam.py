@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import reference
 
-from vislam_edu import kalman, simulate, slam
+from vislam_edu import kalman, simulate, window_slam
 from vislam_edu.error_state import RightInvariant, RightPerturbation
 from vislam_edu.noise import Noise
 
@@ -24,12 +24,12 @@ def world_blocks(step):
                                          step.posterior.landmark_covariance)}
 
 
-@pytest.mark.parametrize(("measure", "as_report"), [(slam.correlated, False), (slam.as_report, True)])
-def test_agrees_with_the_plain_reference_over_all_frames(small, measure, as_report):
+@pytest.mark.parametrize(("process_frame", "as_report"), [(window_slam.correlated, False), (window_slam.as_report, True)])
+def test_agrees_with_the_plain_reference_over_all_frames(small, process_frame, as_report):
     gate = 0.99
     plain = reference.run(small, NOISE, kalman.gate_threshold(gate), 1.0, as_report)
     rejected = 0
-    for step, (T, P, landmarks, nis) in zip(slam.run(small, NOISE, measure=measure, gate=gate), plain, strict=True):
+    for step, (T, P, landmarks, nis) in zip(window_slam.run(small, NOISE, process_frame=process_frame, gate=gate), plain, strict=True):
         np.testing.assert_allclose(step.posterior.world_T_imu, T, atol=1e-8)
         np.testing.assert_allclose(step.posterior.pose_covariance, P, atol=1e-10, rtol=1e-8)
         np.testing.assert_allclose(step.innovation.nis, [nis[i] for i in step.innovation.ids], rtol=1e-6)
@@ -41,10 +41,10 @@ def test_agrees_with_the_plain_reference_over_all_frames(small, measure, as_repo
 
 
 @pytest.mark.parametrize("error_state", [RightPerturbation(), RightInvariant()])
-@pytest.mark.parametrize("measure", [slam.correlated, slam.as_report])
-def test_window_equals_the_filter_that_keeps_everything(small, error_state, measure):
-    window = slam.run(small, NOISE, error_state, measure=measure)
-    dense = slam.run(small, NOISE, error_state, measure=measure, retire=slam.never)
+@pytest.mark.parametrize("process_frame", [window_slam.correlated, window_slam.as_report])
+def test_window_equals_the_filter_that_keeps_everything(small, error_state, process_frame):
+    window = window_slam.run(small, NOISE, error_state, process_frame=process_frame)
+    dense = window_slam.run(small, NOISE, error_state, process_frame=process_frame, retire=window_slam.retire_none)
     retired = 0
     for a, b in zip(window, dense, strict=True):
         np.testing.assert_allclose(a.posterior.world_T_imu, b.posterior.world_T_imu, atol=1e-9)
@@ -60,7 +60,7 @@ def test_window_equals_the_filter_that_keeps_everything(small, error_state, meas
 @pytest.mark.parametrize("error_state", [RightPerturbation(), RightInvariant()])
 def test_covariance_stays_symmetric_positive_definite_on_a_long_drive(error_state):
     drive = simulate.street_loop(seed=5, frames=1200, visible=25, outlier_share=0.05)
-    for step in slam.run(drive, NOISE, error_state):
+    for step in window_slam.run(drive, NOISE, error_state):
         if step.k % 20 == 0:
             P = step.posterior.covariance
             np.testing.assert_array_equal(P, P.T)
@@ -69,7 +69,7 @@ def test_covariance_stays_symmetric_positive_definite_on_a_long_drive(error_stat
 
 def test_a_step_is_immutable_and_tells_who_came_and_went(small):
     alive = set()
-    for step in slam.run(small, NOISE):
+    for step in window_slam.run(small, NOISE):
         ids, _ = small.observed(step.k)
         assert set(step.retired) == alive - set(ids)
         assert set(step.born) == set(step.posterior.ids) - alive
@@ -83,7 +83,7 @@ def test_a_step_is_immutable_and_tells_who_came_and_went(small):
 
 
 def test_update_shrinks_and_prediction_grows(small):
-    steps = list(slam.run(small, NOISE))
+    steps = list(window_slam.run(small, NOISE))
     for before, after in itertools.pairwise(steps):
         grown = after.prior.pose_covariance - without_noise(before, small)
         assert np.linalg.eigvalsh(grown).min() > 0  # noise is added in every direction
@@ -101,13 +101,13 @@ def without_noise(step, drive):
 
 
 def test_newborn_landmarks_are_correlated_with_the_pose_and_used_once(small):
-    step = next(slam.run(small, NOISE))
+    step = next(window_slam.run(small, NOISE))
     belief = step.posterior
     assert len(step.innovation.ids) == 0
     assert len(belief.ids) > 5
     cross = belief.covariance[:3 * len(belief.ids), belief.pose]
     assert np.abs(cross).max() > 1e-4
-    report = next(slam.run(small, NOISE, measure=slam.as_report))
+    report = next(window_slam.run(small, NOISE, process_frame=window_slam.as_report))
     assert len(report.innovation.ids) == len(report.posterior.ids) == len(belief.ids)
     assert not report.prior.covariance[:-6, -6:].any()
 
@@ -117,7 +117,7 @@ def test_joint_filter_beats_dead_reckoning_tenfold_on_the_embedded_drive():
 
     drive = recordings.load(recordings.find("street_loop.npz"))
     truth = drive.true_world_T_imu[:, :3, 3]
-    estimate = np.array([s.posterior.world_T_imu[:3, 3] for s in slam.run(drive, NOISE)])
+    estimate = np.array([s.posterior.world_T_imu[:3, 3] for s in window_slam.run(drive, NOISE)])
     reckoned = odometry.dead_reckon(drive, NOISE).world_T_imu[:, :3, 3]
 
     def rmse(p):
@@ -128,21 +128,21 @@ def test_joint_filter_beats_dead_reckoning_tenfold_on_the_embedded_drive():
 
 def test_cross_covariances_matter():
     """What notebook 05's switch drops. Over seeds: without them the filter is far surer than it is right."""
-    def nees(measure, seed):
+    def nees(process_frame, seed):
         drive = simulate.street_loop(seed=seed, frames=80, visible=15)
         values = []
-        for step in slam.run(drive, NOISE, measure=measure):
+        for step in window_slam.run(drive, NOISE, process_frame=process_frame):
             e = RightPerturbation().pose_difference(drive.true_world_T_imu[step.k], step.posterior.world_T_imu)
             values.append(e @ np.linalg.solve(step.posterior.pose_covariance, e))
         return np.mean(values)
 
-    blind = [nees(slam.without_cross_covariance(slam.correlated), s) for s in range(6)]
-    whole = [nees(slam.correlated, s) for s in range(6)]
+    blind = [nees(window_slam.without_cross_covariance(window_slam.correlated), s) for s in range(6)]
+    whole = [nees(window_slam.correlated, s) for s in range(6)]
     assert np.mean(blind) > 2 * np.mean(whole)
 
 
 def test_without_cross_covariance_leaves_no_cross_covariance(small):
-    for step in slam.run(small.slice(0, 10), NOISE, measure=slam.without_cross_covariance(slam.correlated)):
+    for step in window_slam.run(small.slice(0, 10), NOISE, process_frame=window_slam.without_cross_covariance(window_slam.correlated)):
         P = step.posterior.covariance
         n = len(step.posterior.ids)
         blocks = P[:3 * n, :3 * n].reshape(n, 3, n, 3)
@@ -156,14 +156,14 @@ def test_without_cross_covariance_leaves_no_cross_covariance(small):
 @pytest.mark.parametrize("bad", [{"gate": 0.0}, {"gate": 1.5}, {"min_disparity": -1.0}, {"min_disparity": np.nan}])
 def test_bad_options_are_named(small, bad):
     with pytest.raises(ValueError, match=r"gate|min_disparity"):
-        next(slam.run(small, NOISE, **bad))
+        next(window_slam.run(small, NOISE, **bad))
 
 
 def test_a_drive_without_any_landmark_is_dead_reckoning(small):
     from vislam_edu import odometry
 
     blind = small.keep_observations(np.zeros(len(small.pixels), dtype=bool))
-    last = list(slam.run(blind, NOISE))[-1]
+    last = list(window_slam.run(blind, NOISE))[-1]
     reckoned = odometry.dead_reckon(blind, NOISE)
     np.testing.assert_allclose(last.posterior.world_T_imu, reckoned.world_T_imu[-1], atol=1e-12)
     np.testing.assert_allclose(last.posterior.covariance, reckoned.covariance[-1], rtol=1e-9)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from vislam_edu import simulate, slam, smoother
+from vislam_edu import simulate, smoother, window_slam
 from vislam_edu.error_state import RightInvariant
 from vislam_edu.noise import Noise
 
@@ -18,15 +18,15 @@ def drive():
 
 def dense(drive, **options):
     rejected = 0
-    for step in slam.run(drive, NOISE, retire=slam.never, **options):
+    for step in window_slam.run(drive, NOISE, retire=window_slam.retire_none, **options):
         rejected += (~step.innovation.accepted).sum()
     return step.posterior, rejected
 
 
-@pytest.mark.parametrize("measure", [slam.correlated, slam.as_report])
-def test_every_landmark_is_what_the_dense_filter_says_at_the_end(drive, measure):
-    full, rejected = dense(drive, measure=measure)
-    final = smoother.final_map(drive, NOISE, measure=measure)
+@pytest.mark.parametrize("process_frame", [window_slam.correlated, window_slam.as_report])
+def test_every_landmark_is_what_the_dense_filter_says_at_the_end(drive, process_frame):
+    full, rejected = dense(drive, process_frame=process_frame)
+    final = smoother.final_map(drive, NOISE, process_frame=process_frame)
     assert len(full.ids) >= 200
     assert rejected > 20
     np.testing.assert_array_equal(np.flatnonzero(final.seen), full.ids)
@@ -39,7 +39,7 @@ def test_every_landmark_is_what_the_dense_filter_says_at_the_end(drive, measure)
 def test_the_future_had_something_to_say(drive):
     """Otherwise the test above would pass for a pass that does nothing."""
     at_retirement = {}
-    for step in slam.run(drive, NOISE):
+    for step in window_slam.run(drive, NOISE):
         for i, m in zip(step.posterior.ids, step.posterior.landmarks):
             at_retirement[i] = m
     final = smoother.final_map(drive, NOISE)
@@ -51,7 +51,7 @@ def test_right_invariant_agrees_to_first_order():
     """With little noise the turn of the whole map is nearly a sum, and the two agree far below their uncertainty."""
     quiet = Noise(sigma_v=0.02, sigma_omega=0.002, sigma_px=0.1, initial_pose_covariance=1e-8 * np.eye(6))
     drive = simulate.street_loop(seed=2, frames=60, visible=15, sigma_v=0.02, sigma_omega=0.002, sigma_px=0.1)
-    *_, step = slam.run(drive, quiet, RightInvariant(), retire=slam.never)
+    *_, step = window_slam.run(drive, quiet, RightInvariant(), retire=window_slam.retire_none)
     full = step.posterior
     final = smoother.final_map(drive, quiet, RightInvariant())
     C = np.concatenate([np.broadcast_to(np.eye(3), (len(full.ids), 3, 3)),

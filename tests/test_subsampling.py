@@ -4,11 +4,11 @@ import numpy as np
 import picture_checks
 import pytest
 
-from vislam_edu import simulate, slam
+from vislam_edu import simulate, window_slam
 from vislam_edu.error_state import RightInvariant
 from vislam_edu.noise import Noise
-from vislam_edu.pictures.subsampling import SubsamplingPicture
 from vislam_edu.widgets import Panel
+from vislam_edu.widgets.subsampling import SubsamplingPicture
 
 NOISE = Noise()
 
@@ -23,7 +23,7 @@ def test_shows_the_filter_over_every_nth_landmark(panel, every):
     panel.controls["every"].value = every
     picture, drive = panel.picture, panel.picture.drive
     part = drive.keep_landmarks(np.arange(drive.n_landmarks) % every == 0)
-    path = np.array([step.posterior.world_T_imu[:3, 3] for step in slam.run(part, NOISE, RightInvariant())])
+    path = np.array([step.posterior.world_T_imu[:3, 3] for step in window_slam.run(part, NOISE, RightInvariant())])
     np.testing.assert_allclose(picture.path.get_xydata(), path[:, :2])
     true = drive.true_world_T_imu[:, :3, 3]
     np.testing.assert_allclose(picture.error.get_ydata(), np.linalg.norm(path - true, axis=1))

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from vislam_edu import cures, recordings, se3, simulate, visual_odometry
+from vislam_edu import recordings, se3, simulate
+from vislam_edu.audit import cures, visual_odometry
 
 FRAMES = 200
 

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from vislam_edu import kalman, style
-from vislam_edu.pictures.canvas import Number, Picture, StepPicture, Switch
+from vislam_edu import kalman
+from vislam_edu.plots import style
 from vislam_edu.widgets import SPEEDS, UNSEEN, Panel, Stepper
+from vislam_edu.widgets.canvas import Number, Picture, StepPicture, Switch
 
 CONTROLS = {"height": Number("height, m", 1.0, 0.0, 4.0, 0.5), "filled": Switch("filled", False)}
 

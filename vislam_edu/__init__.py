@@ -13,60 +13,90 @@ noise           `sigma_v` m/s and `sigma_omega` rad/s per IMU sample (so W = tau
 joint state     landmarks first, then pose: covariance (3n+6, 3n+6)
 arrays          everything broadcasts over leading axes
 
-What the chapters use, file by file; `help(vislam_edu.se3.exp)` tells the rest. All other names serve these.
+The names to import from here, in the order of the notebooks:
 
-se3             hat so3_hat curly_hat so3_exp so3_log exp log pose inverse transform Adjoint odot right_jacobian
-stereo          StereoCamera pi dpi_dq bearing triangulate_bearings
-drive           Drive
-recordings      find load load_ground_truth
-faults          flip_imu_axes wrong_lever_arm add_gyro_bias delay_imu copy_frames outlier_tracks
-simulate        street_loop perfect_street_loop add_noise
-style           use COLOURS LABELS line ellipse_points two_digits on_a_page
-noise           Noise
-kalman          innovation_covariance nis gate_threshold gain update central_difference
-odometry        Trajectory PoseBelief dead_reckon predict localize
-mapping         run triangulated as_report
-error_state     RightPerturbation RightInvariant
-motion          ImuDriven TwistAndBias
-slam            run correlated as_report without_cross_covariance contains never
-consensus       measure
-smoother        final_map
-metrics         position_errors ate kitti_drift nees pose_nees average_nis chi2_band
-consistency     Filter initial_pose judge table
-museum_drives   PIECES visit used_twice
-observability   common_landmarks at_estimates at_truth observability_matrix rank_by_frame information_gained
-visual_odometry estimate
-track_health    copied copy_steps
-cures           end_tracks_at_copies
-measured_noise  measure
-audit           audit
-plots           new_figure new_map finish view_around trajectories heading heading_sigma heading_band
-                position_covariance draw_trajectory draw_truth draw_landmarks draw_ellipses draw_position_ellipses
-pipeline        Result run first_sight collect_mapping collect_slam noise_of_real_drive world_landmark_covariance
-report_figures  initial_trajectory initial_landmarks mapped_landmarks initial_and_mapped_landmarks slam_landmarks
-                both_trajectories all_landmarks
-widgets         Stepper Panel
-exercises       check hint solution EXERCISES
+load                    a recording as a `Drive`, by path or by the name of an embedded one
+Drive                   one recording: IMU samples, tracked landmarks, calibration, truth
+Noise                   W, V and Sigma_0
+StereoCamera            projection, triangulation, Jacobians
+RightPerturbation       the report's error of a pose and a map
+RightInvariant          the error that cannot observe what no sensor measures
+se3                     SO(3) and SE(3): exp, log, adjoint, Jacobians
+stereo                  the camera model
+noise                   standard deviations and covariances of the sensors
+drive                   recordings in memory
+kalman                  the Gaussian algebra of a Kalman filter
+odometry                the pose: from the IMU alone, and on a known map
+mapping                 the map on known poses
+ekf_slam                the joint filter, plain
+metrics                 ATE, KITTI drift, NIS, NEES
+error_state             what an error is
+motion                  the joint belief, and how it moves
+window_slam             the joint filter over the landmarks in view, fast
+consensus               a second gate: measurements that agree with each other
+smoother                the final estimate of every landmark
+recordings              room: files
+simulate                room: drives with ground truth
+plots                   room: still pictures
+audit                   room: a recording's sensors compared with each other
+studies                 room: filters over whole drives
+widgets                 room: steppers and panels
+exercises               room: checks of a student's functions
 
-and of the pictures, `pictures.twist` and so on:
-
-twist           TwistPicture plane_ellipse banana
-stereo_depth    StereoDepthPicture depth_sigma
-mapping         MappingPicture
-localisation    LocalisationPicture
-joint           JointPicture
-tuning          TuningPicture
-two_filters     TwoFiltersPicture
-cures_panel     CuresPicture
-subsampling     SubsamplingPicture
-museum_tour     MuseumPicture gallery
+A name is loaded when it is first used, so importing the package costs nothing and changes nothing.
 """
 
-__version__ = "0.1.0"
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
 
-import scipy.linalg  # noqa: F401 - loads the linear algebra libraries that the next lines speak to
-import threadpoolctl
+if TYPE_CHECKING:
+    from . import (
+        audit,
+        consensus,
+        drive,
+        ekf_slam,
+        error_state,
+        exercises,
+        kalman,
+        mapping,
+        metrics,
+        motion,
+        noise,
+        odometry,
+        plots,
+        recordings,
+        se3,
+        simulate,
+        smoother,
+        stereo,
+        studies,
+        widgets,
+        window_slam,
+    )
+    from .drive import Drive
+    from .error_state import RightInvariant, RightPerturbation
+    from .noise import Noise
+    from .recordings import load
+    from .stereo import StereoCamera
 
-# The filters' matrices have a few hundred rows. At that size the threads of one product wait for each other longer
-# than they work, and on a busy machine many times longer: one thread does the linear algebra of this process.
-threadpoolctl.threadpool_limits(limits=1, user_api="blas")
+__version__ = "0.2.0"
+__all__ = [
+    "Drive", "Noise", "RightInvariant", "RightPerturbation", "StereoCamera", "audit", "consensus", "drive", "ekf_slam",
+    "error_state", "exercises", "kalman", "load", "mapping", "metrics", "motion", "noise", "odometry", "plots",
+    "recordings", "se3", "simulate", "smoother", "stereo", "studies", "widgets", "window_slam",
+]
+
+_DEFINED_IN = {"load": "recordings", "Drive": "drive", "Noise": "noise", "StereoCamera": "stereo",
+               "RightPerturbation": "error_state", "RightInvariant": "error_state"}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in __all__:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    if name in _DEFINED_IN:
+        return getattr(import_module(f".{_DEFINED_IN[name]}", __name__), name)
+    return import_module(f".{name}", __name__)
+
+
+def __dir__() -> list[str]:
+    return __all__

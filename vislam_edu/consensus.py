@@ -1,8 +1,8 @@
 """The measurements of one frame against each other: a second gate, after the update.
 
-    slam.run(drive, noise, RightInvariant(), measure=consensus.measure)
+    window_slam.run(drive, noise, RightInvariant(), process_frame=consensus.process_frame)
 
-The gate of `slam.update` asks each landmark alone, and the prior forgives much: an IMU of 0.05 rad/s leaves the next
+The gate of `window_slam.update` asks each landmark alone, and the prior forgives much: an IMU of 0.05 rad/s leaves the next
 pixel open by several px, and a wrong track fits in. All wrong tracks would have to be wrong in the same way to fit in
 *together*. So the frame is updated with all that pass, each measurement is held against what the others then say,
 those that contradict are left out, and the update begins again from the prior.
@@ -16,51 +16,51 @@ from dataclasses import replace
 
 import numpy as np
 
-from . import kalman, slam
+from . import kalman, window_slam
 
 ROUNDS = 3  # the choice settles in one or two
 
 
-def measure(prior, ids, pixels, sensors):
-    """What a frame does, see `slam.run`: as `slam.correlated`, and the measurements must agree with each other.
+def process_frame(prior, ids, pixels, settings):
+    """What a frame does, see `window_slam.run`: as `window_slam.correlated`, and the measurements must agree with each other.
 
     Returns (prior, posterior, Innovation); its `accepted` are those that the posterior rests on.
     """
-    known = slam.contains(prior.ids, ids)
-    posterior, innovation = update(prior, ids[known], pixels[known], sensors)
+    known = window_slam.contains(prior.ids, ids)
+    posterior, innovation = update(prior, ids[known], pixels[known], settings)
     if not known.all():
-        posterior = slam.add_correlated(posterior, ids[~known], pixels[~known], sensors)
+        posterior = window_slam.add_correlated(posterior, ids[~known], pixels[~known], settings)
     return prior, posterior, innovation
 
 
-def update(prior, ids, pixels, sensors):
-    """`slam.update` with those measurements that agree with the posterior they lead to.
+def update(prior, ids, pixels, settings):
+    """`window_slam.update` with those measurements that agree with the posterior they lead to.
 
     ids : (m,). pixels : (m, 4). Returns (posterior, Innovation).
     """
     if len(ids) == 0:
         return prior, kalman.NO_INNOVATION
-    innovation, linearised = slam.innovate(prior, ids, pixels, sensors)
+    innovation, linearised = window_slam.compute_innovation(prior, ids, pixels, settings)
     passed = innovation.accepted
-    kept, posterior = passed, slam.absorb(prior, linearised, passed, sensors)
+    kept, posterior = passed, window_slam.apply_update(prior, linearised, passed, settings)
     for _ in range(ROUNDS):
         agreeing = passed.copy()
-        agreeing[passed] = after_fit(posterior, ids[passed], pixels[passed], kept[passed], sensors) <= sensors.threshold
+        agreeing[passed] = after_fit(posterior, ids[passed], pixels[passed], kept[passed], settings) <= settings.threshold
         if not agreeing.any() or np.array_equal(agreeing, kept):
             break
-        kept, posterior = agreeing, slam.absorb(prior, linearised, agreeing, sensors)
+        kept, posterior = agreeing, window_slam.apply_update(prior, linearised, agreeing, settings)
     return posterior, replace(innovation, accepted=kept)
 
 
-def after_fit(posterior, ids, pixels, used, sensors):
+def after_fit(posterior, ids, pixels, used, settings):
     """(m,) squared residuals over their variance, 4 degrees of freedom, of measurements against a posterior.
 
     used : (m,) bool, which of them it rests on: those scatter by no more than V around it. The others scatter by V and
     by what the posterior leaves open, S = H P H^T + V.
     """
     landmarks = posterior.landmarks[np.searchsorted(posterior.ids, ids)]
-    predicted, in_front = sensors.camera.observe(posterior.world_T_imu, landmarks)
-    distance = np.sum((pixels - predicted) ** 2, axis=-1) / sensors.noise.sigma_px**2
+    predicted, in_front = settings.camera.observe(posterior.world_T_imu, landmarks)
+    distance = np.sum((pixels - predicted) ** 2, axis=-1) / settings.noise.sigma_px**2
     if not used.all():
-        distance[~used] = slam.innovate(posterior, ids[~used], pixels[~used], sensors)[0].nis
+        distance[~used] = window_slam.compute_innovation(posterior, ids[~used], pixels[~used], settings)[0].nis
     return np.where(in_front, distance, np.inf)

@@ -212,7 +212,7 @@ class Drive:
             raise DriveError(f"between: no frame from {t0} s to {t1} s in a drive of {self.duration:.3f} s")
         return self.slice(int(start), int(stop))
 
-    def thin(self, every=10) -> Drive:
+    def subsample(self, every=10) -> Drive:
         """Every `every`-th landmark only (the report, section 4, keeps one in ten)."""
         if every != int(every) or every < 1:
             raise ValueError(f"every: {every}, expected a whole number of at least 1")

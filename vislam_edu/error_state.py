@@ -68,7 +68,7 @@ class RightPerturbation(ErrorState):
 
     def pose_transition(self, after, increment, body_noise):
         """F = exp(-tau u_curly); the body's own noise is B. Source: report section 3.3.1."""
-        return se3.Adjoint(se3.inverse(increment)), body_noise
+        return se3.adjoint(se3.inverse(increment)), body_noise
 
     def landmark_transition(self, landmarks, B):
         """A moving car moves no landmark: None."""
@@ -126,7 +126,7 @@ class RightInvariant(ErrorState):
 
     def pose_transition(self, after, increment, body_noise):
         """F = I, whatever the car does; an error of the twist enters through the Adjoint of the pose."""
-        return np.eye(6), se3.Adjoint(after) @ body_noise
+        return np.eye(6), se3.adjoint(after) @ body_noise
 
     def landmark_transition(self, landmarks, B):
         """m^ B_R. The landmark itself stays, but its error is told relative to the turned world."""

@@ -83,7 +83,7 @@ def symmetric(matrix):
     return (matrix + matrix.T) / 2
 
 
-def carry(belief, transition) -> Belief:
+def propagate(belief, transition) -> Belief:
     """The belief after a transition: P' = F P F^T + N Q N^T.
 
     For the report's error this is Sigma_LL, Sigma_LR F^T and F Sigma_RR F^T + W: the landmarks' own block stays,
@@ -138,7 +138,7 @@ class ImuDriven:
 
     def predict(self, belief, k) -> Belief:
         """The belief at frame k + 1 before the cameras have spoken."""
-        return carry(belief, self.transition(belief, k))
+        return propagate(belief, self.transition(belief, k))
 
 
 class TwistAndBias:
@@ -192,5 +192,5 @@ class TwistAndBias:
 
     def predict(self, belief, k) -> Belief:
         """The belief at frame k + 1 before the cameras have spoken."""
-        told = self.measure_imu(belief, k)
-        return carry(told, self.transition(told, k))
+        measured = self.measure_imu(belief, k)
+        return propagate(measured, self.transition(measured, k))

@@ -44,7 +44,7 @@ def predict(belief, twist, tau, noise) -> PoseBelief:
     Source: report section 3.3.1; Barfoot, State Estimation for Robotics, sections 7.2 and 8.
     """
     step = se3.exp(tau * np.asarray(twist))
-    F = se3.Adjoint(se3.inverse(step))
+    F = se3.adjoint(se3.inverse(step))
     B = tau * se3.right_jacobian(tau * np.asarray(twist))
     P = F @ belief.covariance @ F.T + B @ noise.twist_covariance @ B.T
     return PoseBelief(belief.world_T_imu @ step, P)

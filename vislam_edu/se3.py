@@ -230,8 +230,8 @@ def log(T):
     return np.concatenate([np.matvec(so3_left_jacobian_inverse(phi), T[..., :3, 3]), phi], axis=-1)
 
 
-def Adjoint(T):
-    """Carries a twist into another frame: `T @ exp(xi) == exp(Adjoint(T) @ xi) @ T`.
+def adjoint(T):
+    """Carries a twist into another frame: `T @ exp(xi) == exp(adjoint(T) @ xi) @ T`.
 
     `[[R, p^ R], [0, R]]`. T (..., 4, 4); returns (..., 6, 6).
     """

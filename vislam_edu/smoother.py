@@ -26,7 +26,7 @@ from math import isqrt
 import numpy as np
 from scipy.linalg import cholesky, solve_triangular
 
-from . import motion, se3, slam
+from . import motion, se3, window_slam
 from .error_state import RightPerturbation
 from .mapping import MapBelief
 
@@ -45,18 +45,18 @@ def _times_HT(X, rows, H_l, H_p, d):
     return out
 
 
-def _undo_update(lam, Lam, step, sensors):
+def _undo_update(lam, Lam, step, settings):
     """Back through the update of one frame. lam (d, 1), Lam (d, d), over the landmarks of the prior."""
     prior, ids = step.prior, step.innovation.ids[step.innovation.accepted]
     if len(ids) == 0:
         return lam, Lam
     rows, n, d = np.searchsorted(prior.ids, ids), len(prior.ids), len(lam)
-    _, _, H_l, H_p = slam.linearise(prior, rows, sensors)
-    HP = slam.times_H(prior.covariance, rows, H_l, H_p, n)
-    S = slam.times_H(np.ascontiguousarray(HP.T), rows, H_l, H_p, n)
-    S[np.diag_indices(len(S))] += np.tile(sensors.noise.sigma_px**2 * slam.ROW_VARIANCE, len(ids))
+    _, _, H_l, H_p = window_slam.linearise(prior, rows, settings)
+    HP = window_slam.times_H(prior.covariance, rows, H_l, H_p, n)
+    S = window_slam.times_H(np.ascontiguousarray(HP.T), rows, H_l, H_p, n)
+    S[np.diag_indices(len(S))] += np.tile(settings.noise.sigma_px**2 * window_slam.ROW_VARIANCE, len(ids))
     L = cholesky(S, lower=True, check_finite=False)
-    residual = slam.reduce_rows(step.innovation.residual[step.innovation.accepted]).reshape(-1, 1)
+    residual = window_slam.reduce_rows(step.innovation.residual[step.innovation.accepted]).reshape(-1, 1)
 
     def solve(b, trans="N"):
         return solve_triangular(L, b, lower=True, trans=trans, check_finite=False)
@@ -73,16 +73,16 @@ def _undo_update(lam, Lam, step, sensors):
     return lam + _times_HT(w, rows, H_l, H_p, d), motion.symmetric(Lam)
 
 
-def _undo_birth(lam, Lam, step, sensors):
-    """Back to before the landmarks that `slam.add_correlated` added: A = [I; G], G on the pose alone."""
+def _undo_birth(lam, Lam, step, settings):
+    """Back to before the landmarks that `window_slam.add_correlated` added: A = [I; G], G on the pose alone."""
     belief = step.posterior
-    is_new = ~slam.contains(step.prior.ids, belief.ids)
+    is_new = ~window_slam.contains(step.prior.ids, belief.ids)
     if not is_new.any():
         return lam, Lam
     new = _indices(np.flatnonzero(is_new))
     old = np.setdiff1d(np.arange(len(lam)), new)
     points = se3.transform(se3.inverse(belief.world_T_imu), belief.landmarks[is_new])
-    G, _ = sensors.error_state.birth(belief.world_T_imu, points)
+    G, _ = settings.error_state.birth(belief.world_T_imu, points)
     A = np.zeros((len(new), len(old)))
     A[:, -6:] = G.reshape(-1, 6)
     cross = Lam[np.ix_(old, new)] @ A
@@ -106,8 +106,8 @@ def _undo_window(final, before, prior, lam, Lam, error_state):
     A landmark that the prior has and the belief before has not (born before the update, the report's way) had no past:
     its row goes. One that retired has no future of its own: a row of zeros, once its final estimate is written down.
     """
-    keep = slam.contains(prior.ids, before.ids)
-    old = np.flatnonzero(slam.contains(before.ids, prior.ids))
+    keep = window_slam.contains(prior.ids, before.ids)
+    old = np.flatnonzero(window_slam.contains(before.ids, prior.ids))
     narrow = np.concatenate([_indices(old), np.arange(3 * len(prior.ids), len(lam))])
     lam, Lam = lam[narrow], Lam[np.ix_(narrow, narrow)]
     if keep.all():
@@ -161,7 +161,7 @@ def final_map(drive, noise, error_state=None, progress=lambda frames, total: fra
     """Every landmark as the filter that never retires one would know it at the end of the drive.
 
     Returns a `MapBelief`; rows of landmarks that were never born are zero, and not `seen`.
-    drive, noise, error_state, options : as for `slam.run`, with its `ImuDriven` motion model.
+    drive, noise, error_state, options : as for `window_slam.run`, with its `ImuDriven` motion model.
     progress : called as `progress(frames, total=T)` on the backward walk, for instance `tqdm.auto.tqdm`.
     Raises ValueError for another motion model or for a run that retires nothing.
 
@@ -173,12 +173,12 @@ def final_map(drive, noise, error_state=None, progress=lambda frames, total: fra
             raise ValueError(f"final_map walks back through the plain window filter, so it takes no {name}")
     error_state = error_state or RightPerturbation()
     model = motion.ImuDriven(drive, noise, error_state)
-    sensors = slam.Sensors(drive.camera, noise, error_state, np.inf, 0.0)
+    settings = window_slam.UpdateSettings(drive.camera, noise, error_state, np.inf, 0.0)
     M = drive.n_landmarks
     final = MapBelief(np.zeros((M, 3)), np.zeros((M, 3, 3)), np.zeros(M, bool))
 
     lam = Lam = None
-    run = partial(slam.run, drive, noise, error_state, **options)
+    run = partial(window_slam.run, drive, noise, error_state, **options)
     for earlier, step in progress(_backwards(drive.n_frames, run), total=drive.n_frames):
         if lam is None:  # the end: no future, and whoever is still in the state has its final estimate
             d, n = len(step.posterior.covariance), len(step.posterior.ids)
@@ -186,10 +186,10 @@ def final_map(drive, noise, error_state=None, progress=lambda frames, total: fra
             _settle(final, step.posterior, np.zeros(n, bool), lam[3 * n:], Lam[3 * n:, 3 * n:], error_state)
         if earlier is None:
             break
-        lam, Lam = _undo_birth(lam, Lam, step, sensors)
-        lam, Lam = _undo_update(lam, Lam, step, sensors)
+        lam, Lam = _undo_birth(lam, Lam, step, settings)
+        lam, Lam = _undo_update(lam, Lam, step, settings)
         transition = model.transition(earlier.posterior, earlier.k)
-        before = motion.carry(earlier.posterior, transition)
+        before = motion.propagate(earlier.posterior, transition)
         lam, Lam = _undo_window(final, before, step.prior, lam, Lam, error_state)
         lam, Lam = _undo_prediction(lam, Lam, 3 * len(before.ids), transition)
     return final

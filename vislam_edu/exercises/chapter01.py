@@ -201,7 +201,7 @@ def poses(rng):
         yield "random", (random_pose(rng),)
 
 
-@exercise(chapter=1, cases=poses, shows=[se3.Adjoint], hints=[
+@exercise(chapter=1, cases=poses, shows=[se3.adjoint], hints=[
     "Multiply out T xi^ T^-1: it is the hat of another twist. Which matrix takes xi to it?",
     "[[R, p^ R], [0, R]] for twists ordered [v, omega]."])
 def adjoint(T):
@@ -209,13 +209,13 @@ def adjoint(T):
 
     T : (4, 4), a_T_b. Returns (6, 6), which takes twists [v, omega] of frame b to frame a.
     """
-    return se3.Adjoint(T)
+    return se3.adjoint(T)
 
 
 @adjoint.mistake("twist order [omega, v]", """The block p^ R stands lower left only where a twist is [omega, v].
 Here it is [v, omega]: a rotation moves the translation, so p^ R stands upper right.""")
 def _(T):
-    A = se3.Adjoint(T)
+    A = se3.adjoint(T)
     A[3:, :3], A[:3, 3:] = A[:3, 3:].copy(), 0.0
     return A
 
@@ -235,7 +235,7 @@ def _(T):
 
 @adjoint.mistake("of the inverse pose", "This is the Adjoint of T^-1: it takes twists from frame a to frame b.")
 def _(T):
-    return se3.Adjoint(se3.inverse(T))
+    return se3.adjoint(se3.inverse(T))
 
 
 def jacobian_twists(rng):
@@ -284,7 +284,7 @@ def _(xi):
 @left_jacobian.mistake("exponential series", """The terms are divided by (n+1)!, not by n!: this is the Adjoint of
 exp(xi).""")
 def _(xi):
-    return se3.Adjoint(se3.exp(xi))
+    return se3.adjoint(se3.exp(xi))
 
 
 # --- motion -----------------------------------------------------------------------------------------------
@@ -349,14 +349,14 @@ def predictions(rng):
 
 
 def _predicted(covariance, twist, tau, Q, F=None, B=None):
-    F = se3.Adjoint(se3.exp(-tau * twist)) if F is None else F
+    F = se3.adjoint(se3.exp(-tau * twist)) if F is None else F
     B = tau * se3.right_jacobian(tau * twist) if B is None else B
     return F @ covariance @ F.T + B @ Q @ B.T
 
 
 @exercise(chapter=1, cases=predictions, shows=[odometry.predict], hints=[
     "F carries the old error into the frame of the new pose; B turns an error of the twist into one of the pose.",
-    "F = se3.Adjoint(se3.exp(-tau * twist)), B = tau * se3.right_jacobian(tau * twist), F P F^T + B Q B^T"])
+    "F = se3.adjoint(se3.exp(-tau * twist)), B = tau * se3.right_jacobian(tau * twist), F P F^T + B Q B^T"])
 def predict_covariance(covariance, twist, tau, Q):
     """Covariance of the pose after one step, right perturbation T = T_mean exp(epsilon^).
 
@@ -388,7 +388,7 @@ def _(covariance, twist, tau, Q):
 @predict_covariance.mistake("F of the wrong sign", """The error of the old pose is told in the old body frame; to reach
 the new one it goes back along the step: exp(-tau u^). With +tau it would go further away.""")
 def _(covariance, twist, tau, Q):
-    return _predicted(covariance, twist, tau, Q, F=se3.Adjoint(se3.exp(tau * twist)))
+    return _predicted(covariance, twist, tau, Q, F=se3.adjoint(se3.exp(tau * twist)))
 
 
 @predict_covariance.mistake("world and body mixed", """F = I belongs to an error told in the world frame (left
@@ -399,7 +399,7 @@ def _(covariance, twist, tau, Q):
 
 @predict_covariance.mistake("F^T P F", "An error F e has the covariance F P F^T: the transpose stands on the right.")
 def _(covariance, twist, tau, Q):
-    return _predicted(covariance, twist, tau, Q, F=se3.Adjoint(se3.exp(-tau * twist)).T)
+    return _predicted(covariance, twist, tau, Q, F=se3.adjoint(se3.exp(-tau * twist)).T)
 
 
 @predict_covariance.mistake("no noise added", "Without B Q B^T the filter never becomes less sure.")

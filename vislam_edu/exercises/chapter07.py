@@ -25,7 +25,7 @@ def _stacked(landmark_rows, B):
 
 @exercise(chapter=7, cases=steps, shows=[RightInvariant.pose_transition, RightInvariant.landmark_transition], hints=[
     "The Adjoint of the pose takes the body's noise into the world. Its rotation part also turns the landmark errors.",
-    "B = se3.Adjoint(world_T_imu) @ body_noise for the pose; m^ B_R for a landmark m, B_R the last three rows of B."])
+    "B = se3.adjoint(world_T_imu) @ body_noise for the pose; m^ B_R for a landmark m, B_R the last three rows of B."])
 def invariant_noise(world_T_imu, landmarks, body_noise):
     """How an error of the twist enters the right-invariant error, [landmarks, position, rotation], over one step.
 
@@ -40,7 +40,7 @@ def invariant_noise(world_T_imu, landmarks, body_noise):
 @invariant_noise.mistake("landmarks left out", """The landmarks stand still, but their error is told relative to a world
 that turns with the pose's error: m^ B_R. Without it the filter is inconsistent again.""")
 def _(world_T_imu, landmarks, body_noise):
-    return _stacked(np.zeros((len(landmarks), 3, 6)), se3.Adjoint(world_T_imu) @ body_noise)
+    return _stacked(np.zeros((len(landmarks), 3, 6)), se3.adjoint(world_T_imu) @ body_noise)
 
 
 @invariant_noise.mistake("world and body mixed", """The IMU's noise is told in the body frame, the invariant
@@ -53,7 +53,7 @@ def _(world_T_imu, landmarks, body_noise):
 @invariant_noise.mistake("sign of m^", """A turn x of the world moves a landmark by x^ m = -m^ x, which its
 error has to make good: +m^ B_R.""")
 def _(world_T_imu, landmarks, body_noise):
-    B = se3.Adjoint(world_T_imu) @ body_noise
+    B = se3.adjoint(world_T_imu) @ body_noise
     return _stacked(-se3.so3_hat(landmarks) @ B[3:], B)
 
 
@@ -68,7 +68,7 @@ def _(world_T_imu, landmarks, body_noise):
 @invariant_noise.mistake("Adjoint of the inverse", """From the body into the world goes Ad(world_T_imu), not
 that of its inverse.""")
 def _(world_T_imu, landmarks, body_noise):
-    B = se3.Adjoint(se3.inverse(world_T_imu)) @ body_noise
+    B = se3.adjoint(se3.inverse(world_T_imu)) @ body_noise
     return _stacked(se3.so3_hat(landmarks) @ B[3:], B)
 
 

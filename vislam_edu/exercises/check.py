@@ -13,7 +13,7 @@ import json
 import os
 import textwrap
 
-from ..style import on_a_page
+from ..plots.style import on_a_page
 from .exercise import EXERCISES, find
 from .running import copied
 from .verdict import Verdict, judge

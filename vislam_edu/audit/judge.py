@@ -1,0 +1,54 @@
+"""A recording is audited before it is filtered: its sensors are held against each other, and against what is possible.
+
+    report = audit(drive)
+    print(report)
+    drive = drive.apply(report["copy frames"].cure)     # one cure, or all of them: report.cured()
+
+The checks stand in `track_checks` and `imu_checks`; the cameras' own frame-to-frame motion (`visual_odometry`) is the
+yardstick for the IMU (`imu_timing`, `imu_alignment`). A finding has to pass twice: a drive without the fault would look
+as bad less than once in 10,000 times, and the fault is large enough to matter. Nothing is corrected silently: inside,
+later checks see the drive with earlier cures applied (a flipped axis would hide the bias), outside the drive is what it
+was.
+"""
+
+from ..drive import Drive
+from . import imu_alignment, imu_checks, imu_timing, measured_noise, track_checks, track_health, visual_odometry
+from .report import Report
+
+
+def audit(drive: Drive) -> Report:
+    """Judge a recording. Works on any drive; what cannot be judged (an IMU without usable cameras) is left out."""
+    copy_steps = track_health.copy_steps(drive)
+    findings = [*track_checks.copy_frames(drive, copy_steps), *track_checks.frozen(drive),
+                *track_checks.behind_infinity(drive), *track_checks.row_offset(drive),
+                *track_checks.missing_frames(drive)]
+    cured = _apply(drive, findings)
+    motions = visual_odometry.estimate(cured)
+    findings += track_checks.outlier_tracks(cured, motions)
+    facts = track_checks.facts(drive, cured, motions)
+    try:
+        timing = imu_timing.estimate(cured, motions)
+        findings += imu_checks.mistimed(cured, timing)
+        in_time = _apply(drive, findings)
+        signs = imu_alignment.correlation_by_extrinsics(in_time, motions)
+        alignment = imu_alignment.align(in_time, motions)
+    except imu_alignment.TooFewSteps as reason:
+        facts["IMU"] = f"not judged: {reason}"
+        timing, signs, alignment, noise = None, None, None, None
+    else:
+        mirrored, alignment = imu_checks.mirrored_axis(in_time, motions, alignment)
+        findings += mirrored
+        for check in (imu_checks.turned_axes, imu_checks.misalignment, imu_checks.lever_arm, imu_checks.scales,
+                      imu_checks.gyro_bias):
+            findings += check(_apply(drive, findings), alignment)
+        noise = measured_noise.from_alignment(in_time, alignment, motions)
+        facts |= imu_checks.facts(timing, alignment)
+    return Report(drive=drive, findings=tuple(findings), facts=facts, signs=signs, alignment=alignment, noise=noise,
+                  timing=timing, motions=motions, copy_steps=copy_steps)
+
+
+def _apply(drive, findings):
+    for finding in findings:
+        if finding.cure:
+            drive = drive.apply(finding.cure)
+    return drive

@@ -1,0 +1,64 @@
+"""What several commands of `python -m vislam_edu` take alike: numbers, checked as they are read, and a recording.
+
+`number` and `whole` make functions for argparse's `type`.
+"""
+
+import argparse
+import math
+from pathlib import Path
+
+from .. import recordings
+
+
+class OptionError(ValueError):
+    """An option, or a combination of options, that cannot be used; the message says which and why."""
+
+
+def number(low=-math.inf, high=math.inf, *, low_allowed=True):
+    """A check for argparse: a finite number from low to high."""
+
+    def check(text):
+        value = float(text)  # argparse turns the ValueError of a word into its own message
+        if not math.isfinite(value):
+            raise argparse.ArgumentTypeError(f"{text} is not a finite number")
+        if not low <= value <= high or (value == low and not low_allowed):
+            above = "at least" if low_allowed else "above"
+            upto = "" if math.isinf(high) else f" and at most {high:g}"
+            raise argparse.ArgumentTypeError(f"{text} is not a number {above} {low:g}{upto}")
+        return value
+
+    check.__name__ = "number"
+    return check
+
+
+def whole(low):
+    """A check for argparse: a whole number of at least low."""
+
+    def check(text):
+        value = int(text)
+        if value < low:
+            raise argparse.ArgumentTypeError(f"{text} is not a whole number of at least {low}")
+        return value
+
+    check.__name__ = "whole number"
+    return check
+
+
+def add_recording(parser):
+    """A recording, by path or name, and the poses to hold it against. parser : argparse.ArgumentParser."""
+    parser.add_argument("recording", nargs="?", default="street_loop", metavar="RECORDING",
+                        help="npz or npy file of a drive, or the name of one in data/ (default: street_loop)")
+    parser.add_argument("--ground-truth", type=Path, metavar="FILE",
+                        help="true poses of the left camera: KITTI (12 numbers a row) or TUM "
+                             "(time x y z qx qy qz qw)")
+
+
+def read_recording(arguments):
+    """The `Drive` that `add_recording` asked for. Raises DriveError when it cannot be used."""
+    path = Path(arguments.recording)
+    if not path.exists():
+        path = recordings.find(arguments.recording) or path
+    drive = recordings.load(path)
+    if arguments.ground_truth is not None:
+        drive = recordings.load_ground_truth(arguments.ground_truth, drive)
+    return drive

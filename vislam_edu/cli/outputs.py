@@ -1,0 +1,172 @@
+"""What the command line leaves behind of a `pipeline.Result`: numbers, trajectories, arrays and figures."""
+
+import errno
+import json
+import math
+import os
+import tempfile
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+import numpy as np
+
+from .. import metrics, recordings, se3
+from ..plots import report_figures, style
+
+
+def summary(result) -> dict:
+    """The numbers that sum a run up; keys name their units.
+
+    Counts: frames, landmarks (in the recording), landmarks_used (that entered the joint filter),
+    measurements (compared with a prediction by the joint filter). rejected_share: of the measurements, kept
+    out by the gate.
+    filter_s: seconds the joint filter took. real_time_factor: seconds of driving per second of filtering.
+
+    With ground truth also position_rmse_m (the IMU's position, world = IMU frame at frame 0, no alignment),
+    ate_m (after SE(3) alignment) and KITTI drift, of the left camera as in the benchmark, NaN for drives
+    under 100 m; those of dead reckoning carry its name. Last, as lists of sentences, changed (what was done
+    to the recording) and warnings (what speaks against the result).
+    """
+    drive, slam = result.drive, result.slam
+    numbers = {
+        "frames": drive.n_frames,
+        "duration_s": drive.duration,
+        "landmarks": drive.n_landmarks,
+        "landmarks_used": int(np.count_nonzero(slam.map.seen)),
+        "measurements": slam.measurements,
+        "rejected_share": slam.rejected_share,
+        "filter_s": slam.seconds,
+        "real_time_factor": drive.duration / slam.seconds,
+    }
+    if drive.true_world_T_imu is not None:
+        numbers |= _errors(drive, slam.trajectory.world_T_imu, "")
+        numbers |= _errors(drive, result.dead_reckoning.world_T_imu, "dead_reckoning_")
+        percent, degrees = metrics.kitti_drift(drive.truth_world_T_cam, _world_T_cam(drive, slam.trajectory))
+        numbers |= {"drift_percent": percent, "drift_deg_per_m": degrees}
+    return numbers | {"changed": list(drive.history), "warnings": result.warnings}
+
+
+def _errors(drive, world_T_imu, prefix):
+    truth = drive.true_world_T_imu
+    first = np.flatnonzero(np.isfinite(truth[:, 0, 0]))[0]
+    if first:  # the truth starts late: it is told in the frame of its own first pose
+        truth = world_T_imu[first] @ truth
+    error = metrics.position_errors(truth, world_T_imu)
+    world_T_cam = world_T_imu @ drive.camera.imu_T_cam
+    return {f"{prefix}position_rmse_m": float(np.sqrt(np.mean(error**2))),
+            f"{prefix}ate_m": metrics.ate(drive.truth_world_T_cam, world_T_cam)}
+
+
+def _world_T_cam(drive, trajectory):
+    """(T, 4, 4) poses of the left camera, the world being the camera at frame 0: KITTI's convention."""
+    world_T_cam = trajectory.world_T_imu @ drive.camera.imu_T_cam
+    return se3.inverse(world_T_cam[0]) @ world_T_cam
+
+
+def table(numbers) -> str:
+    """A summary as text, one number a line."""
+    return "\n".join(f"{key:<32}{_short(value)}" for key, value in numbers.items() if not isinstance(value, list))
+
+
+def _short(value):
+    return str(value) if isinstance(value, int) else f"{value:.4g}"
+
+
+def _strict(value):
+    """JSON knows no NaN: null instead."""
+    return None if isinstance(value, float) and math.isnan(value) else value
+
+
+def write(result, folder):
+    """Write all that `python -m vislam_edu run` promises into an empty folder. Returns the summary.
+
+    summary.json, null for NaN. kitti/trajectory.txt and tum/trajectory.txt, poses of the left camera in the
+    frame of the first one (KITTI's convention). result.npz: poses of the IMU, covariances of right
+    perturbations [position m, rotation rad], and the landmarks (m, world) that the filter used, with ids and
+    covariances. fig1_... to fig7_... .png.
+    """
+    folder, drive, slam = Path(folder), result.drive, result.slam
+    numbers = summary(result)
+    strict = {key: _strict(value) for key, value in numbers.items()}
+    (folder / "summary.json").write_text(json.dumps(strict, indent=2) + "\n", encoding="utf-8")
+    poses = _world_T_cam(drive, slam.trajectory)
+    for layout in ("kitti", "tum"):
+        (folder / layout).mkdir()
+    recordings.save_kitti(folder / "kitti" / "trajectory.txt", poses)
+    recordings.save_tum(folder / "tum" / "trajectory.txt", drive.times, poses)
+    np.savez_compressed(
+        folder / "result.npz",
+        times=drive.times,
+        world_T_imu=slam.trajectory.world_T_imu,
+        pose_covariance=slam.trajectory.covariance,
+        dead_reckoning_world_T_imu=result.dead_reckoning.world_T_imu,
+        dead_reckoning_pose_covariance=result.dead_reckoning.covariance,
+        landmark_ids=np.flatnonzero(slam.map.seen),
+        landmarks=slam.map.landmarks[slam.map.seen],
+        landmark_covariance=slam.map.covariance[slam.map.seen],
+    )
+    for name, draw in report_figures.FIGURES.items():
+        draw(result).savefig(folder / f"{name}.png", **style.PNG)
+    return numbers
+
+
+@contextmanager
+def appearing_in(folder):
+    """A scratch folder whose files move into `folder` when the block ends well, and vanish when it does not.
+
+    An interrupted run thus leaves nothing half-written and what was there before as it was. Entering makes
+    `folder`, so that one that cannot be written to is found before the work and not after.
+    """
+    folder = Path(folder)
+    made = not folder.exists()
+    if not made and not folder.is_dir():
+        raise NotADirectoryError(errno.ENOTDIR, "is a file, expected a folder", str(folder))
+    folder.mkdir(parents=True, exist_ok=True)
+    try:
+        with tempfile.TemporaryDirectory(dir=folder, prefix=".part-") as scratch:
+            yield Path(scratch)
+            for path in sorted(Path(scratch).rglob("*")):
+                target = folder / path.relative_to(scratch)
+                if path.is_dir():
+                    target.mkdir(exist_ok=True)
+                else:
+                    os.replace(path, target)
+    except BaseException:
+        if made:
+            with suppress(OSError):  # not empty after all: something else writes there
+                folder.rmdir()
+        raise
+
+
+def description(drive) -> str:
+    """What is in a recording, as text."""
+    disparity = drive.pixels[:, 0] - drive.pixels[:, 2]
+    length = drive.last_seen - drive.first_seen + 1
+    lines = {
+        "name": drive.name,
+        "source": drive.source,
+        "frames": f"{drive.n_frames} in {drive.duration:.2f} s",
+        "IMU sample for step k": drive.imu_sample,
+        "speed": f"{np.linalg.norm(drive.twists[:, :3], axis=1).mean():.2f} m/s on average",
+        "landmarks": f"{drive.n_landmarks}, in view at once {_spread(drive.visible)}",
+        "frames of a track": _spread(length[drive.first_seen >= 0]),
+        "observations": f"{len(drive.pixels)}, {np.count_nonzero(disparity <= 0)} with a disparity <= 0",
+        "camera": f"f {drive.camera.K[0, 0]:.2f} px, baseline {drive.camera.baseline:.4f} m",
+        "camera in the IMU frame": f"{np.round(drive.camera.imu_T_cam[:3, 3], 3).tolist()} m",
+        "ground truth": _truth(drive),
+        "changed": "; ".join(drive.history) or "nothing",
+    }
+    return "\n".join(f"{key:<26}{value}" for key, value in lines.items())
+
+
+def _spread(counts):
+    if not len(counts):
+        return "none"
+    return f"{counts.min()} to {counts.max()}, {counts.mean():.1f} on average"
+
+
+def _truth(drive):
+    if drive.truth_world_T_cam is None:
+        return "none"
+    known = np.count_nonzero(np.isfinite(drive.truth_world_T_cam[:, 0, 0]))
+    return f"poses of {known} frames" + (", landmarks" if drive.truth_landmarks is not None else "")

@@ -1,0 +1,112 @@
+"""`python -m vislam_edu run`: the report's pipeline over a recording, and what it leaves in a folder."""
+
+import sys
+from pathlib import Path
+
+from .arguments import OptionError, add_recording, number, read_recording, whole
+
+
+def add_arguments(parser):
+    """The options of `run`. parser : argparse.ArgumentParser."""
+    add_recording(parser)
+    parser.add_argument("--audit", action="store_true",
+                        help="audit the recording first, apply the cures found (each is named), and run the filter for "
+                             "real drives: right-invariant, twist and gyro bias estimated, the IMU's noise as "
+                             "measured, measurements that must agree with each other")
+    parser.add_argument("--causal", action="store_true",
+                        help="with --audit: leave out the cures that need the whole drive")
+    parser.add_argument("--out", type=Path, required=True, metavar="DIR",
+                        help="folder for figures, trajectories, result.npz and summary.json; made if missing")
+    noise = parser.add_argument_group("noise, one standard deviation per sample and axis")
+    noise.add_argument("--sigma-v", type=number(0), metavar="M/S", help="linear velocity (default: 0.5 m/s)")
+    noise.add_argument("--sigma-omega", type=number(0), metavar="RAD/S",
+                       help="angular velocity (default: 0.05 rad/s)")
+    noise.add_argument("--sigma-px", type=number(0, low_allowed=False), metavar="PX",
+                       help="each pixel coordinate (default: 0.7 px)")
+    noise.add_argument("--report-noise", action="store_true",
+                       help="the report's W and V where no other value is given (overconfident: try it)")
+    joint = parser.add_argument_group("the joint filter")
+    joint.add_argument("--error-state", choices=("right", "invariant"),
+                       help="what an error is: the report's right perturbation, or the right-invariant error, which "
+                            "does not believe it learned the heading (default: right; invariant with --audit)")
+    joint.add_argument("--initialisation", choices=("correlated", "as-report"), default="correlated",
+                       help="covariance of a new landmark: from its triangulation and the pose, or the "
+                            "report's 2 I without correlation (default: correlated)")
+    joint.add_argument("--gate", type=number(0, 1, low_allowed=False), default=0.99, metavar="P",
+                       help="probability that a good measurement is believed; 1: no gate (default: 0.99)")
+    joint.add_argument("--min-disparity", type=number(0), default=1.0, metavar="PX",
+                       help="below it a landmark waits for a better view (default: 1 px)")
+    joint.add_argument("--every", type=whole(1), default=1, metavar="N",
+                       help="use one landmark in N; the report needs 10, this filter does not (default: 1)")
+    parser.add_argument("--quiet", action="store_true", help="no progress bar and no summary on the terminal")
+
+
+def noise_from(arguments, base):
+    """`base` with the values given on the command line in place of its own."""
+    import dataclasses
+
+    given = {key: getattr(arguments, key) for key in ("sigma_v", "sigma_omega", "sigma_px")}
+    return dataclasses.replace(base, **{key: value for key, value in given.items() if value is not None})
+
+
+def prepare(arguments):
+    """The drive to run and the noise and motion model to run it with: as they are, or after an audit."""
+    from .. import motion
+    from ..noise import Noise
+    from ..studies import pipeline
+
+    drive = read_recording(arguments)
+    model: type[motion.ImuDriven | motion.TwistAndBias] = motion.ImuDriven
+    base = Noise.from_report() if arguments.report_noise else Noise()
+    if arguments.audit:
+        from ..audit import audit
+
+        report = audit(drive)
+        drive, model = report.cured(needs_future=not arguments.causal), motion.TwistAndBias
+        if not arguments.report_noise:
+            base = pipeline.noise_of_real_drive(report.noise)
+        if not arguments.quiet:
+            print(report, end="\n\n")
+            print("\n".join(["applied:", *(f"    {cure}" for cure in drive.history)] if drive.history else
+                            ["nothing to cure"]), end="\n\n")
+    return drive.subsample(arguments.every), noise_from(arguments, base), model
+
+
+def run(arguments):
+    """Run the filters and write their results; returns the exit status."""
+    from functools import partial
+
+    from numpy.linalg import LinAlgError
+    from tqdm import tqdm
+
+    from .. import consensus, window_slam
+    from ..drive import DriveError
+    from ..error_state import RightInvariant, RightPerturbation
+    from ..studies import pipeline
+    from . import outputs
+
+    if arguments.causal and not arguments.audit:
+        raise OptionError("run: --causal says which cures to apply, so it needs --audit")
+    drive, noise, motion_model = prepare(arguments)
+    invariant = (arguments.error_state or ("invariant" if arguments.audit else "right")) == "invariant"
+    method = "invariant" if invariant else "report" if arguments.report_noise else "slam"
+    process_frame = consensus.process_frame if arguments.audit else window_slam.correlated
+    if arguments.initialisation == "as-report":
+        process_frame = window_slam.as_report
+    with outputs.appearing_in(arguments.out) as folder:
+        try:
+            result = pipeline.run_pipeline(
+                drive, noise, RightInvariant() if invariant else RightPerturbation(), motion_model=motion_model,
+                method=method, process_frame=process_frame, gate=arguments.gate, min_disparity=arguments.min_disparity,
+                progress=partial(tqdm, unit="frame", disable=arguments.quiet),
+            )
+        except LinAlgError as error:
+            raise DriveError(f"{arguments.recording}: the filter broke down ({error}), a covariance is no "
+                             "longer positive definite: give the sensors more noise") from None
+        numbers = outputs.write(result, folder)
+    if not arguments.quiet:
+        print(outputs.table(numbers))
+        print(f"written to {arguments.out}")
+    for warning in numbers["warnings"]:
+        print(f"warning: {warning}", file=sys.stderr)
+    return 0

@@ -1,0 +1,237 @@
+"""Static pictures: maps seen from above, uncertainty as 95 % regions, ground truth in black.
+
+Functions that start with `draw_` put artists on axes that they are given. The others make a `Figure` and
+return it. pyplot is not involved: in a notebook the figure is the cell's last expression (no semicolon), in a
+script `figure.savefig(path)` writes it.
+
+Maps are in metres, world frame, equal scales: x (forward at the start) to the right, y (left at the start)
+up.
+"""
+
+import re
+import textwrap
+
+import numpy as np
+from matplotlib.collections import LineCollection
+from scipy.stats import norm
+
+from .. import se3
+from . import style
+
+WIDTH = 7.5  # inches, of every figure
+_AXES_LEFT, _AXES_WIDTH = 0.75, 6.6  # inches, the same in every figure, so that pictures line up on a page
+_MAP_HEIGHTS = (3.0, 6.4)  # inches, least and greatest height of a map's axes
+_TITLE_CHARACTERS = 78  # of a line above the axes
+_LINE = 0.2  # inches, a line of a title or a legend
+_LEGEND_HANDLE, _LEGEND_CHARACTER = 0.6, 0.063  # inches
+TWO_SIDED_95 = float(norm.ppf(0.975))
+
+
+# --- geometry ---------------------------------------------------------------------------------------------
+
+
+def position_covariance(trajectory):
+    """(T, 3, 3) m^2, covariance of each position in the world frame.
+
+    trajectory : Trajectory, whose covariance is that of a right perturbation: p - p_hat = R epsilon_v.
+    """
+    R = trajectory.world_T_imu[:, :3, :3]
+    return R @ trajectory.covariance[:, :3, :3] @ np.swapaxes(R, -1, -2)
+
+
+def heading(world_T_imu):
+    """(...) rad in (-pi, pi], direction of the body's x axis over the ground, world x towards y."""
+    return np.arctan2(world_T_imu[..., 1, 0], world_T_imu[..., 0, 0])
+
+
+def heading_sigma(trajectory):
+    """(T,) rad, standard deviation of the rotation about the world's z axis."""
+    z = trajectory.world_T_imu[:, 2, :3]  # the world's z axis in the body frame
+    return np.sqrt(np.einsum("ki,kij,kj->k", z, trajectory.covariance[:, 3:, 3:], z))
+
+
+def view_around(*positions, margin=30.0):
+    """Limits (x_min, x_max, y_min, y_max), m, of a map that shows these positions and a margin.
+
+    positions : arrays (..., 2 or more), rows with NaN are left out. margin : m on every side. Landmarks are
+    not asked: one badly triangulated point a kilometre away would shrink the drive to a dot.
+    """
+    xy = np.concatenate([np.asarray(p, dtype=float)[..., :2].reshape(-1, 2) for p in positions])
+    xy = xy[np.isfinite(xy).all(axis=1)]
+    if not len(xy):
+        xy = np.zeros((1, 2))
+    (x0, y0), (x1, y1) = xy.min(axis=0) - margin, xy.max(axis=0) + margin
+    return _widened(x0, x1, y0, y1)
+
+
+def view_with_outlines(paths, outlines, margin=10.0):
+    """The view around paths and ellipses; ellipses that leave the paths far behind (by a quarter of their
+    extent) are cut off, or a filter that knows nothing would shrink the drive to a dot.
+    """
+    xy = np.concatenate([p[:, :2] for p in paths])
+    xy = xy[np.isfinite(xy).all(axis=1)]
+    low, high = xy.min(axis=0), xy.max(axis=0)
+    reach = 0.25 * np.linalg.norm(high - low)
+    return view_around(xy, *[np.clip(o, low - reach, high + reach) for o in outlines], margin=margin)
+
+
+def _widened(x0, x1, y0, y1):
+    """The limits, the shorter side lengthened where the map would be flatter or taller than a page allows."""
+    low, high = (h / _AXES_WIDTH for h in _MAP_HEIGHTS)
+    width, height = x1 - x0, y1 - y0
+    more_height, more_width = max(0.0, low * width - height), max(0.0, height / high - width)
+    return x0 - more_width / 2, x1 + more_width / 2, y0 - more_height / 2, y1 + more_height / 2
+
+
+def inside(view, points):
+    """(n,) bool: which points (n, 2 or more) lie within the view."""
+    x0, x1, y0, y1 = view
+    return (points[:, 0] >= x0) & (points[:, 0] <= x1) & (points[:, 1] >= y0) & (points[:, 1] <= y1)
+
+
+# --- artists ----------------------------------------------------------------------------------------------
+
+
+def new_map(view):
+    """Figure and equal-axis map for a view (x_min, x_max, y_min, y_max), m."""
+    x0, x1, y0, y1 = view
+    figure, axes = new_figure(_AXES_WIDTH * (y1 - y0) / (x1 - x0))
+    axes.set(xlim=(x0, x1), ylim=(y0, y1), aspect="equal",
+             xlabel="x, forward at the start (m)", ylabel="y, left at the start (m)")
+    return figure, axes
+
+
+def new_figure(height=3.0):
+    """Figure of the series' width and its one axes, in the series' style. height : inches, of the axes."""
+    with style.context():
+        figure = style.Figure(figsize=(WIDTH, height))
+        figure.set_layout_engine("none")
+        return figure, figure.add_axes((_AXES_LEFT / WIDTH, 0, _AXES_WIDTH / WIDTH, 1))
+
+
+def finish(figure, title):
+    """Title above the axes and legend below them, where neither can hide data; the figure grows to hold both.
+
+    The places are computed: a layout engine does not settle when the scales of the axes must be equal.
+    """
+    axes = figure.axes[0]
+    box = axes.get_position(original=True)
+    height = box.height * figure.get_figheight()
+    lines = textwrap.wrap(re.sub(r"(?<=\d) (?=(m|s|%)\b|%)", "\N{NO-BREAK SPACE}", title), _TITLE_CHARACTERS)
+    handles, labels = axes.get_legend_handles_labels()
+    columns, rows = _legend_grid(labels)
+    below, above = 0.55 + (0.15 + _LINE * rows if rows else 0.0), 0.15 + _LINE * len(lines)
+    total = below + height + above
+    figure.set_size_inches(WIDTH, total)
+    axes.set_position((box.x0, below / total, box.width, height / total))
+    axes.set_title("\n".join(lines))
+    if rows:
+        legend = figure.legend(handles, labels, loc="lower center", ncols=columns)
+        for line in legend.get_lines():  # a map's dots are too small to tell their colour, other markers are not
+            line.set_markersize(max(line.get_markersize(), 5))
+    return figure
+
+
+def _legend_grid(labels):
+    """Columns that fit the figure's width, and the rows they need."""
+    if not labels:
+        return 0, 0
+    column = _LEGEND_HANDLE + _LEGEND_CHARACTER * max(map(len, labels))
+    columns = min(len(labels), max(1, int(WIDTH / column)))
+    return columns, -(-len(labels) // columns)
+
+
+def draw_trajectory(axes, world_T_imu, method, **changes):
+    """The path of the IMU with a dot where it starts. method : key of `style.COLOURS`. Returns the line."""
+    path = world_T_imu[:, :2, 3]
+    line, = axes.plot(path[:, 0], path[:, 1], **{**style.line(method), **changes})
+    start = path[np.isfinite(path).all(axis=1)][:1]
+    axes.plot(start[:, 0], start[:, 1], "o", color=line.get_color(), markersize=6, zorder=3)
+    return line
+
+
+def draw_truth(axes, drive):
+    """The true path in black, if the drive has one. Returns the line or None."""
+    truth = drive.true_world_T_imu
+    return None if truth is None else draw_trajectory(axes, truth, "truth", linewidth=1.2)
+
+
+def draw_landmarks(axes, points, method, **changes):
+    """Landmarks (n, 3) as dots. Returns the line that holds them."""
+    looks = {"linestyle": "none", "marker": ".", "markersize": 3, "markeredgewidth": 0, "alpha": 0.6,
+             "color": style.COLOURS[method], "label": f"landmarks, {style.LABELS[method]}"}
+    line, = axes.plot(points[:, 0], points[:, 1], **{**looks, **changes})
+    return line
+
+
+def position_outlines(trajectory, count=12):
+    """(count, n, 2) m, 95 % ellipses of the position at frames evenly spread from the first to the last."""
+    frames = np.unique(np.linspace(0, len(trajectory.times) - 1, count).astype(int))
+    return style.ellipse_points(trajectory.world_T_imu[frames, :2, 3],
+                                position_covariance(trajectory)[frames, :2, :2])
+
+
+def draw_position_ellipses(axes, trajectory, method, count=12):
+    """The `position_outlines` of a trajectory. Returns the LineCollection."""
+    collection = LineCollection(position_outlines(trajectory, count), colors=style.COLOURS[method],
+                                linewidths=0.9, label=f"95 % of the position, {style.LABELS[method]}")
+    return axes.add_collection(collection, autolim=False)
+
+
+def draw_ellipses(axes, means, covariances, colour, label="95 % ellipses"):
+    """Outlines that each hold a Gaussian on the ground plane with a probability of 95 %.
+
+    means : (n, 2 or more), m. covariances : (n, 2 or more, the same), m^2, in the world frame; x, y are used.
+    Returns the LineCollection.
+    """
+    outlines = style.ellipse_points(means[:, :2], covariances[:, :2, :2])
+    return axes.add_collection(LineCollection(outlines, colors=colour, linewidths=0.9, label=label),
+                               autolim=False)
+
+
+# --- figures that any chapter can use ---------------------------------------------------------------------
+
+
+def trajectories(drive, estimates, title=""):
+    """Paths of several methods on one map, each with 95 % ellipses; the truth in black where there is one.
+
+    drive : Drive. estimates : dict from a key of `style.COLOURS` to a Trajectory. Returns a Figure.
+    """
+    paths = [t.world_T_imu[:, :3, 3] for t in estimates.values()]
+    if drive.true_world_T_imu is not None:
+        paths.append(drive.true_world_T_imu[:, :3, 3])
+    figure, axes = new_map(view_with_outlines(paths, [position_outlines(t) for t in estimates.values()]))
+    draw_truth(axes, drive)
+    for method, trajectory in estimates.items():
+        draw_trajectory(axes, trajectory.world_T_imu, method)
+        draw_position_ellipses(axes, trajectory, method)
+    return finish(figure, title)
+
+
+def heading_band(drive, trajectory, method="dead_reckoning"):
+    """How wrong the heading is, and how wrong it claims to be: error over time and a 95 % band.
+
+    drive : Drive. trajectory : Trajectory. method : key of `style.COLOURS`. Without truth the band is drawn
+    around zero and nothing is known about the error. Returns a Figure.
+    """
+    t = trajectory.times - trajectory.times[0]
+    band = np.degrees(TWO_SIDED_95 * heading_sigma(trajectory))
+    figure, axes = new_figure()
+    axes.fill_between(t, -band, band, color=style.COLOURS[method], alpha=0.25, linewidth=0,
+                      label="95 % band claimed")
+    axes.set(xlabel="time since start (s)", ylabel="heading error (°)", xlim=(0, t[-1] or 1))
+    name = style.LABELS[method][0].upper() + style.LABELS[method][1:]
+    if drive.true_world_T_imu is None:
+        return finish(figure, f"{name} claims its heading to ±{band[-1]:.2g}° at the end")
+    error = np.degrees(heading_error(drive.true_world_T_imu, trajectory.world_T_imu))
+    axes.plot(t, error, color=style.COLOURS[method], label="estimated minus true heading")
+    known = np.isfinite(error)
+    share = 100 * np.mean(np.abs(error[known]) <= band[known])
+    claim, off = band[known][-1], abs(error[known][-1])
+    return finish(figure, f"{name} claims its heading to ±{claim:.2g}° at the end and is {off:.2g}° off: "
+                          f"inside the 95 % band in {share:.0f} % of frames")
+
+
+def heading_error(true_world_T_imu, world_T_imu):
+    """(...) rad in (-pi, pi], estimated minus true heading; NaN where there is no truth."""
+    return heading(world_T_imu @ se3.inverse(true_world_T_imu))

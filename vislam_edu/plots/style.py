@@ -1,0 +1,186 @@
+"""One look for every picture of the series: a method keeps its colour and its line from the first chapter on.
+
+Colours that share a picture differ in lightness too, so they stay apart in a grey print and for colour-blind
+readers, or else in line style. What is drawn as an Image in a notebook is also said in words, see `alt_text`.
+"""
+
+import base64
+import io
+import sys
+import textwrap
+from typing import Any
+
+import numpy as np
+from matplotlib import rc_context, rcParams
+from matplotlib.figure import Figure as MatplotlibFigure
+from scipy.stats import chi2
+
+COLOURS = {
+    # who says it: trajectories and maps
+    "truth": "#000000",
+    "dead_reckoning": "#E0B040",
+    "mapping": "#3FA560",
+    "localize": "#882255",
+    "report": "#409DB0",
+    "slam": "#B5485E",
+    "invariant": "#004488",
+    "smoother": "#7A5FB0",
+    # what it is: pixels, innovations, verdicts
+    "measured": "#EE7733",
+    "predicted": "#0055AA",
+    "accepted": "#3FA560",
+    "rejected": "#CC3311",
+    "prior": "#8C8C8C",
+    "posterior": "#004488",
+    "expected": "#555555",  # a bound or the value an honest filter would show
+    "faded": "#B8B8B8",
+}
+
+LINESTYLES = {
+    "truth": "-",
+    "dead_reckoning": (0, (1, 1)),
+    "mapping": "-.",
+    "localize": (0, (5, 1, 1, 1)),
+    "report": (0, (3, 1, 1, 1, 1, 1)),
+    "slam": "--",
+    "invariant": "-",
+    "smoother": (0, (8, 2)),
+    "measured": "none",
+    "predicted": "none",
+    "prior": "--",
+    "posterior": "-",
+    "expected": "--",
+}
+
+LABELS = {
+    "truth": "ground truth",
+    "dead_reckoning": "dead reckoning",
+    "mapping": "mapping EKF",
+    "localize": "odometry on a known map",
+    "report": "SLAM, the report's values",
+    "slam": "SLAM, right perturbation",
+    "invariant": "SLAM, right-invariant",
+    "smoother": "smoother",
+}
+
+_RC: dict[Any, Any] = {
+    "figure.dpi": 100,
+    "savefig.dpi": 100,
+    "figure.figsize": (7.5, 4.5),
+    "figure.constrained_layout.use": True,
+    "font.size": 10,
+    "axes.titlesize": 11,
+    "axes.titlelocation": "left",
+    "axes.labelsize": 10,
+    "xtick.labelsize": 9,
+    "ytick.labelsize": 9,
+    "legend.fontsize": 9,
+    "legend.framealpha": 0.9,
+    "legend.edgecolor": "0.8",
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "axes.formatter.min_exponent": 6,  # on logarithmic scales 100, not 10², whose exponent is too small to read
+    "grid.color": "0.9",
+    "grid.linewidth": 0.8,
+    "lines.linewidth": 1.6,
+    "lines.markersize": 4,
+    "image.cmap": "cividis",
+}
+
+PAGE = 100  # characters of a line that JupyterLab shows whole
+
+# For savefig: the name of matplotlib's version would make files differ that show the same.
+PNG: dict[str, Any] = {"metadata": {"Software": None}}
+
+
+def use():
+    """Apply the style to matplotlib; in a notebook each Figure is then stored with its alternative text."""
+    rcParams.update(_RC)
+    shell = _ipython()
+    if shell is not None:
+        shell.display_formatter.formatters["image/png"].for_type(MatplotlibFigure, _png_and_alt)
+
+
+def context():
+    """The style for the pictures drawn inside a `with` block, whatever is set outside."""
+    return rc_context(_RC)
+
+
+class Figure(MatplotlibFigure):
+    """A figure that is drawn in the series' style whenever that is, for tick labels are formatted when it is saved."""
+
+    def draw(self, renderer) -> None:
+        with context():
+            super().draw(renderer)
+
+
+def _ipython():
+    """The running IPython shell, or None; IPython itself is not needed and not imported."""
+    module = sys.modules.get("IPython")
+    return module.get_ipython() if module else None
+
+
+def _png_and_alt(figure):
+    """A figure as IPython stores it: the PNG in base64, and the metadata of that output."""
+    file = io.BytesIO()
+    figure.savefig(file, format="png", dpi="figure", bbox_inches="tight", **PNG)
+    return base64.b64encode(file.getvalue()).decode(), {"alt": alt_text(figure)}
+
+
+def alt_text(figure) -> str:
+    """A figure in words, for a reader who cannot see it: its title, and for each axes what is plotted against what.
+
+    All words are the figure's own: titles, labels of the axes, names in the legend.
+    """
+    parts = [figure.get_suptitle(), _scales(figure.get_supylabel(), figure.get_supxlabel())]
+    for axes in figure.axes:
+        if axes.get_visible():
+            names = "; ".join(axes.get_legend_handles_labels()[1])
+            parts.append(next(filter(None, map(axes.get_title, ("left", "center", "right"))), ""))
+            parts.append(": ".join(filter(None, [_scales(axes.get_ylabel(), axes.get_xlabel()), names])))
+    sentences = dict.fromkeys(" ".join(part.split()) for part in parts if part)  # what two axes share is said once
+    return " ".join(words if words.endswith((".", "?")) else f"{words}." for words in sentences)
+
+
+def _scales(y, x) -> str:
+    return " against ".join(filter(None, [y, x]))
+
+
+def line(method):
+    """Keyword arguments of `Axes.plot` for a method: colour, line style and label."""
+    return {"color": COLOURS[method], "linestyle": LINESTYLES[method], "label": LABELS.get(method, method)}
+
+
+def two_digits(x) -> str:
+    """A number below a million to two significant digits, without an exponent: the third depends on the machine."""
+    return f"{float(f'{x:.2g}'):g}"
+
+
+def on_a_page(text) -> str:
+    """A text whose long lines are broken between words, as JupyterLab would break them anywhere."""
+    broken = []
+    for line in text.splitlines():
+        indent = line[:len(line) - len(line.lstrip())] + "  "
+        broken.append(textwrap.fill(line, PAGE, subsequent_indent=indent) if len(line) > PAGE else line)
+    return "\n".join(broken)
+
+
+def ellipse_points(mean, covariance, probability=0.95, n=60):
+    """Outline of the ellipse that holds a 2-D Gaussian with this probability.
+
+    mean : (..., 2). covariance : (..., 2, 2), same units squared, positive semi-definite.
+    Returns (..., n, 2), a closed outline: the first point again at the end.
+    The squared distance of a Gaussian in two dimensions is chi-square with 2 degrees of freedom; "two sigma"
+    in the plane would hold 86 %, not 95 %.
+    Raises ValueError for a probability outside (0, 1).
+    """
+    if not 0 < probability < 1:
+        raise ValueError(f"probability must lie in (0, 1), got {probability!r}")
+    values, axes = np.linalg.eigh(np.asarray(covariance, dtype=float))
+    radii = np.sqrt(chi2.ppf(probability, 2) * np.maximum(values, 0.0))
+    angle = np.linspace(0, 2 * np.pi, n)
+    circle = np.stack([np.cos(angle), np.sin(angle)])
+    outline = (axes * radii[..., None, :]) @ circle
+    return np.asarray(mean, dtype=float)[..., None, :] + np.swapaxes(outline, -1, -2)

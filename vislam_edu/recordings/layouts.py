@@ -1,0 +1,261 @@
+"""Recordings on disk: every layout the course has published, the package's own, and ground truth."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from .. import se3
+from ..drive import Drive, DriveError
+from ..stereo import StereoCamera
+from . import files
+
+_FORMAT = "vislam_edu drive 1"
+_PROJECT = Path(__file__).resolve().parents[2]
+
+
+def load(path) -> Drive:
+    """Read a recording.
+
+    Layouts, told apart by their keys:
+    - npz with `time_stamps, features, linear_velocity, angular_velocity, K, b, imu_T_cam` (03.npz, 10.npz),
+    - the same with `rotational_velocity` and `cam_T_imu` (0022.npz, 0027.npz),
+    - npy that is a pickled dictionary with `timestamps, features, v_t, w_t, K_l, K_r, extL_T_imu, extR_T_imu`
+      (dataset00.npy),
+    - what `save` writes.
+
+    Extrinsics are taken as their key says: a_T_b maps b coordinates to a coordinates. Whether the numbers
+    agree is for `audit` to find out. Rotations with only a few digits are projected to SO(3).
+    Raises DriveError (a ValueError) naming the file, the field and what is wrong with it.
+    """
+    path = Path(path)
+    with files.errors_name(path), files.open_fields(path) as fields:
+        if "format" in fields:
+            return _own_drive(fields)
+        name = {"name": path.stem, "source": f"UCSD ECE276A, {path.name}"}
+        if "v_t" in fields or "extL_T_imu" in fields:
+            return _pickled_layout(fields, name)
+        return _npz_layout(fields, name)
+
+
+def save(drive, path):
+    """Write a drive, truth and history included, as a plain npz that `load` reads back bit for bit.
+
+    The file appears complete or not at all.
+    """
+    camera = drive.camera
+    fields = {"format": _FORMAT, "K": camera.K, "baseline": camera.baseline, "cam_T_imu": camera.cam_T_imu,
+              "n_landmarks": drive.n_landmarks, "history": np.array(drive.history, dtype=str)}
+    fields |= {key: getattr(drive, key) for key in (*_OWN_ARRAYS, *_OWN_TEXTS)}
+    fields |= {key: getattr(drive, key) for key in _OWN_TRUTH if getattr(drive, key) is not None}
+    with files.replacing(path) as file:
+        np.savez_compressed(file, **fields)
+
+
+def find(name) -> Path | None:
+    """The file of that name (with or without .npz or .npy), or None.
+
+    Looked for in the project's data/, in the working directory and in ../shared/data, in this order.
+    """
+    for folder in (_PROJECT / "data", Path.cwd(), _PROJECT.parent / "shared" / "data"):
+        for suffix in ("", ".npz", ".npy"):
+            path = folder / f"{name}{suffix}"
+            if path.is_file():
+                return path
+    return None
+
+
+def load_ground_truth(path, drive) -> Drive:
+    """The drive with the true poses of its left camera, `world_T_cam`, from a text file.
+
+    KITTI: 12 numbers a row, the upper 3 x 4 of the pose. Row k belongs to frame k, so slice a drive after
+    this, not before; there may be fewer rows than frames.
+    TUM: `time x y z qx qy qz qw` a row. A frame takes the row nearest in time if it is within half a frame.
+    Times are absolute, or count from the drive's start when absolute ones would not overlap the drive.
+    Lines that start with # are skipped. Frames without a row get NaN.
+    Raises DriveError naming the file and the line or row.
+    """
+    path = Path(path)
+    with files.errors_name(path):
+        rows = _read_rows(path)
+        if rows.shape[1] == 12:
+            poses = _kitti_poses(rows, drive)
+        elif rows.shape[1] == 8:
+            poses = _tum_poses(rows, drive)
+        else:
+            raise DriveError(f"{rows.shape[1]} numbers a row, expected 12 (KITTI) or 8 (TUM)")
+        return drive.replace(truth_world_T_cam=poses, truth_landmarks=None)
+
+
+def save_kitti(path, poses):
+    """Write poses (T, 4, 4) as KITTI text: 12 numbers a row, the upper 3 x 4 of each."""
+    _write_rows(path, _finite_poses(poses)[:, :3].reshape(-1, 12))
+
+
+def save_tum(path, times, poses):
+    """Write times (T,) s and poses (T, 4, 4) as TUM text: `time x y z qx qy qz qw` a row."""
+    poses, times = _finite_poses(poses), np.asarray(times, dtype=float)
+    if times.shape != poses.shape[:1]:
+        raise ValueError(f"times: shape {times.shape}, expected ({len(poses)},) for {len(poses)} poses")
+    quaternions = Rotation.from_matrix(poses[:, :3, :3]).as_quat()
+    _write_rows(path, np.column_stack([times, poses[:, :3, 3], quaternions]), first="%.9f")
+
+
+_OWN_ARRAYS = ("times", "twists", "frame_start", "landmark", "pixels")
+_OWN_TEXTS = ("name", "source", "imu_sample")
+_OWN_TRUTH = ("truth_world_T_cam", "truth_landmarks")
+
+
+def _npz_layout(fields, name):
+    times = _times(fields, "time_stamps")
+    angular = fields.key("angular_velocity", "rotational_velocity")
+    twists = np.hstack([_samples(fields, key, len(times)) for key in ("linear_velocity", angular)])
+    extrinsic = fields.key("imu_T_cam", "cam_T_imu")
+    cam_T_imu = _rigid(extrinsic, fields.numbers(extrinsic))
+    if extrinsic == "imu_T_cam":
+        cam_T_imu = se3.inverse(cam_T_imu)
+    camera = _camera(fields.numbers("K"), fields.number("b"), cam_T_imu)
+    return _dense_drive(times, twists, fields, camera, name)
+
+
+def _pickled_layout(fields, name):
+    times = _times(fields, "timestamps")
+    twists = np.hstack([_samples(fields, key, len(times)) for key in ("v_t", "w_t")])
+    K, K_right = fields.numbers("K_l"), fields.numbers("K_r")
+    if K.shape != K_right.shape or not np.allclose(K, K_right, rtol=1e-3):
+        raise DriveError("K_r: differs from K_l; expected a rectified stereo pair, whose cameras share one K")
+    left_T_imu, right_T_imu = (_rigid(key, fields.numbers(key)) for key in ("extL_T_imu", "extR_T_imu"))
+    left_T_right = left_T_imu @ se3.inverse(right_T_imu)
+    # Rectified pixels belong to parallel cameras. Extrinsics measured before the rectification may differ
+    # from that by a degree (KITTI-360's do); more than a few mean that they belong to something else.
+    baseline, *offset = left_T_right[:3, 3]
+    if baseline <= 0 or max(map(abs, offset)) > 0.1 * baseline or np.trace(left_T_right[:3, :3]) < 3 - 0.01:
+        raise DriveError(f"extR_T_imu: puts the right camera at {left_T_right[:3, 3].round(3).tolist()} m in "
+                         f"the left one's frame; expected parallel cameras, the right one on the +x axis")
+    return _dense_drive(times, twists, fields, _camera(K, baseline, left_T_imu), name)
+
+
+def _own_drive(fields):
+    if fields.text("format") != _FORMAT:
+        raise DriveError(f"format: {fields.text('format')!r}, expected {_FORMAT!r}")
+    camera = _camera(fields.numbers("K"), fields.number("baseline"), fields.numbers("cam_T_imu"))
+    values = {key: fields.numbers(key) for key in _OWN_ARRAYS}
+    values |= {key: fields.numbers(key) for key in _OWN_TRUTH if key in fields}
+    values |= {key: fields.text(key) for key in _OWN_TEXTS}
+    values["n_landmarks"] = int(fields.number("n_landmarks"))
+    return Drive(camera=camera, history=tuple(fields.text("history")), **values)
+
+
+def _dense_drive(times, twists, fields, camera, name):
+    drive = Drive.from_features(times, twists, fields.numbers("features"), camera, **name)
+    if not drive.landmark.size:
+        raise DriveError("features: the recording is empty, no landmark is seen in any frame")
+    return drive
+
+
+def _times(fields, key):
+    times = fields.numbers(key)
+    if times.size not in times.shape:
+        raise DriveError(f"{key}: shape {times.shape}, expected (T,) or (1, T)")
+    return times.ravel().astype(float)
+
+
+def _samples(fields, key, n_frames):
+    """A velocity as (T, 3), stored either way round."""
+    value = fields.numbers(key)
+    if value.shape == (3, n_frames):
+        value = value.T
+    if value.shape != (n_frames, 3):
+        raise DriveError(f"{key}: shape {value.shape}, expected (3, {n_frames}) or ({n_frames}, 3) "
+                         f"for {n_frames} frames")
+    if not np.isfinite(value).all():
+        frame, axis = np.argwhere(~np.isfinite(value))[0]
+        raise DriveError(f"{key}: {value[frame, axis]} in frame {frame} on the {'xyz'[axis]} axis")
+    return value
+
+
+def _rigid(name, T):
+    """T (..., 4, 4) with its rotations projected to SO(3)."""
+    if T.shape[-2:] != (4, 4):
+        raise DriveError(f"{name}: shape {T.shape}, expected (4, 4)")
+    R = T[..., :3, :3]
+    near = np.isfinite(T).all(axis=(-2, -1)) & (np.abs(T[..., 3, :] - [0, 0, 0, 1]).max(axis=-1) < 1e-6)
+    with np.errstate(invalid="ignore"):
+        near &= (np.abs(R @ R.mT - np.eye(3)).max(axis=(-2, -1)) < 1e-3) & (np.linalg.det(R) > 0)
+    if not near.all():
+        where = f" row {np.flatnonzero(~near)[0]}" if T.ndim > 2 else ""
+        raise DriveError(f"{name}{where}: not a rigid motion (rotation, translation, [0, 0, 0, 1] below)")
+    return se3.pose(Rotation.from_matrix(R).as_matrix(), T[..., :3, 3])
+
+
+def _camera(K, baseline, cam_T_imu):
+    try:
+        return StereoCamera(K, baseline, cam_T_imu)
+    except ValueError as error:
+        raise DriveError(str(error)) from None
+
+
+def _read_rows(path):
+    rows = []
+    for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), start=1):
+        if not line.strip() or line.lstrip().startswith("#"):
+            continue
+        try:
+            rows.append([float(word) for word in line.split()])
+        except ValueError:
+            raise DriveError(f"line {number}: {line.strip()[:60]!r} is not a row of numbers") from None
+        if len(rows[-1]) != len(rows[0]) or not np.isfinite(rows[-1]).all():
+            raise DriveError(f"line {number}: expected {len(rows[0])} finite numbers, as in the first row")
+    if not rows:
+        raise DriveError("no pose in it")
+    return np.array(rows)
+
+
+def _kitti_poses(rows, drive):
+    if len(rows) > drive.n_frames:
+        raise DriveError(f"{len(rows)} poses for a drive of {drive.n_frames} frames: they belong to another "
+                         f"drive or to this one before it was sliced")
+    poses = np.full((drive.n_frames, 4, 4), np.nan)
+    last = np.broadcast_to([0.0, 0.0, 0.0, 1.0], (len(rows), 1, 4))
+    poses[:len(rows)] = _rigid("pose", np.concatenate([rows.reshape(-1, 3, 4), last], axis=1))
+    return poses
+
+
+def _tum_poses(rows, drive):
+    rows = rows[np.argsort(rows[:, 0], kind="stable")]
+    norms = np.linalg.norm(rows[:, 4:], axis=1)
+    if (np.abs(norms - 1) > 1e-2).any():
+        row = rows[np.argmax(np.abs(norms - 1) > 1e-2)]
+        raise DriveError(f"time {row[0]}: quaternion {row[4:].tolist()} is not of length 1")
+    times = drive.times
+    if rows[-1, 0] < times[0] or rows[0, 0] > times[-1]:
+        times = times - times[0]
+    after = np.searchsorted(rows[:, 0], times).clip(1, max(1, len(rows) - 1))
+    before = after - 1
+    after = np.minimum(after, len(rows) - 1)
+    nearest = np.where(times - rows[before, 0] <= rows[after, 0] - times, before, after)
+    half_frame = np.median(drive.taus) / 2 if drive.n_frames > 1 else 0.0
+    matched = np.abs(rows[nearest, 0] - times) <= half_frame
+    if not matched.any():
+        raise DriveError(f"no row within half a frame ({half_frame:.3f} s) of any frame; the rows run from "
+                         f"{rows[0, 0]} to {rows[-1, 0]} s, the drive from {times[0]} to {times[-1]} s")
+    found = rows[nearest[matched]]
+    poses = np.full((drive.n_frames, 4, 4), np.nan)
+    poses[matched] = se3.pose(Rotation.from_quat(found[:, 4:]).as_matrix(), found[:, 1:4])
+    return poses
+
+
+def _finite_poses(poses):
+    poses = np.asarray(poses, dtype=float)
+    if poses.ndim != 3 or poses.shape[1:] != (4, 4):
+        raise ValueError(f"poses: shape {poses.shape}, expected (T, 4, 4)")
+    if not np.isfinite(poses).all():
+        raise ValueError(f"poses: pose {np.argwhere(~np.isfinite(poses))[0, 0]} is not finite")
+    return poses
+
+
+def _write_rows(path, rows, first="%.12e"):
+    with files.replacing(path) as file:
+        np.savetxt(file, rows, fmt=[first] + ["%.12e"] * (rows.shape[1] - 1))

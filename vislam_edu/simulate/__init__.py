@@ -1,0 +1,9 @@
+"""Drives with ground truth: a road, the sensors of a car on it, and faults planted in what they measure.
+
+Here lives everything that makes a `Drive` instead of reading one. Nothing here estimates.
+"""
+
+from .drives import IMAGE_SIZE, add_noise, first_steps, kitti_camera, perfect_street_loop, street_loop, street_loop_data
+
+__all__ = ["IMAGE_SIZE", "add_noise", "first_steps", "kitti_camera", "perfect_street_loop", "street_loop",
+           "street_loop_data"]

@@ -1,0 +1,132 @@
+"""Faults of real recordings, planted on purpose in a good one, so that an audit can be seen to find them.
+
+Each function returns a new `Drive` and says in its `history` what was planted. The ground truth stays what it
+was.
+"""
+
+import numpy as np
+
+from ..stereo import StereoCamera
+
+
+def _planted(drive, what, **fields):
+    return drive.replace(history=(*drive.history, f"planted: {what}"), **fields)
+
+
+def _with_extrinsics(drive, cam_T_imu, what):
+    camera = StereoCamera(K=drive.camera.K, baseline=drive.camera.baseline, cam_T_imu=cam_T_imu)
+    return _planted(drive, what, camera=camera)
+
+
+def flip_imu_axes(drive, signs=(1, -1, -1)):
+    """The extrinsics belong to an IMU frame with some axes reversed; the samples stay as they were.
+
+    signs (3,) of +1 and -1 with product +1 (a reflection is no frame). (1, -1, -1), forward-right-down
+    extrinsics with forward-left-up samples, is the fault of the report's dataset 3. The cure is the same flip
+    again.
+    """
+    signs = np.asarray(signs)
+    if signs.shape != (3,) or not np.isin(signs, (-1, 1)).all() or signs.prod() != 1:
+        raise ValueError(f"signs must be three numbers +1 or -1 whose product is +1, got {signs.tolist()}")
+    flip = np.diag([*signs, 1.0])
+    return _with_extrinsics(drive, drive.camera.cam_T_imu @ flip, f"IMU axes flipped by {signs.tolist()}")
+
+
+def wrong_lever_arm(drive, translation=None):
+    """The extrinsics carry a wrong translation (3,), m.
+
+    By default the camera's position in the IMU frame, written where cam_T_imu wants the IMU's position in the
+    camera frame: the two differ by `t = -R p`, and 0027.npz confuses them.
+    """
+    cam_T_imu = drive.camera.cam_T_imu.copy()
+    cam_T_imu[:3, 3] = drive.camera.imu_T_cam[:3, 3] if translation is None else translation
+    return _with_extrinsics(drive, cam_T_imu, f"lever arm set to {cam_T_imu[:3, 3].round(3).tolist()} m")
+
+
+def add_gyro_bias(drive, bias):
+    """Every angular velocity is off by the constant bias (3,), rad/s."""
+    bias = np.broadcast_to(np.asarray(bias, float), 3)
+    return _planted(
+        drive, f"gyro bias {bias.tolist()} rad/s", twists=drive.twists + np.concatenate([np.zeros(3), bias])
+    )
+
+
+def delay_imu(drive, samples=1):
+    """The IMU comes late: sample k + samples holds what sample k held. The first ones repeat the first.
+
+    After a delay of one, sample k+1 tells the motion from frame k to k+1, as in the real recordings, but the
+    drive's `imu_sample` still claims what it claimed before.
+    """
+    if not 0 <= samples < drive.n_frames:
+        raise ValueError(f"samples must be in 0..{drive.n_frames - 1}, got {samples}")
+    late = np.maximum(np.arange(drive.n_frames) - samples, 0)
+    return _planted(drive, f"IMU late by {samples} samples", twists=drive.twists[late])
+
+
+def copy_frames(drive, frames=None):
+    """At some frames the tracker copies its old pixels and goes on from them.
+
+    At a copy frame, every track seen there and one frame before has exactly the pixels of the frame before.
+    Afterwards it moves as the true track moves, but from the stale place: each copy leaves the track one
+    increment behind for good, the increment's noise included. Those that are born at the frame are right.
+
+    frames : copy frames; by default every frame after the first where a landmark is born, as in the real
+        recordings.
+    """
+    frames = np.unique(drive.first_seen[drive.first_seen > 0]) if frames is None else np.asarray(frames, int)
+    if frames.size and not (frames.min() > 0 and frames.max() < drive.n_frames):
+        raise ValueError(
+            f"copy frames must lie in 1..{drive.n_frames - 1}, got {frames.min()}..{frames.max()}"
+        )
+    order = np.lexsort((drive.frame, drive.landmark))  # track by track
+    frame, landmark, pixels = drive.frame[order], drive.landmark[order], drive.pixels[order]
+
+    row = np.arange(len(landmark))
+    track_begin = np.searchsorted(landmark, landmark)
+    copy = (row > track_begin) & np.isin(frame, frames)
+    increment = np.diff(pixels, axis=0, prepend=pixels[:1])
+    lost = np.cumsum(np.where(copy[:, None], increment, 0), axis=0)
+    stale = pixels - (lost - lost[track_begin])
+    # A copy is recognised by having exactly the same numbers, not the same to rounding.
+    copied_from = np.maximum.accumulate(np.where(copy, 0, row))
+    result = np.empty_like(stale)
+    result[order] = stale[copied_from]
+    return _planted(drive, f"pixels copied at {len(frames)} frames", pixels=result)
+
+
+def outlier_tracks(drive, share, seed=0):
+    """A share in [0, 1] of the tracks is wrong for its whole life; needs ground truth.
+
+    Half of them move: the point has a constant velocity of 2 to 8 m/s along the ground, like a pedestrian or
+    a car (the truth's world has z up). Half are stereo mismatches: the right pixel is off by a constant 5 to
+    30 px to the left or right (disparities may become negative, as in the real recordings). A mover that
+    would leave the image before its track ends is made a mismatch instead: tracks keep their lengths. The
+    true landmark of a mover is where it was first seen.
+
+    seed : int or numpy Generator.
+    """
+    if not 0 <= share <= 1:
+        raise ValueError(f"share of outlier tracks must be in [0, 1], got {share}")
+    if drive.truth_landmarks is None or drive.truth_world_T_cam is None:
+        raise ValueError("moving points need a drive with truth_world_T_cam and truth_landmarks")
+    rng = np.random.default_rng(seed)
+    M, camera = drive.n_landmarks, drive.camera
+    chosen = rng.permutation(M) < round(share * M)
+    moves = chosen & (rng.random(M) < 0.5)
+    course, speed = rng.uniform(0, 2 * np.pi, M), rng.uniform(2, 8, M)
+    velocity = speed[:, None] * np.stack([np.cos(course), np.sin(course), np.zeros(M)], -1)
+    mismatch = rng.choice([-1, 1], M) * rng.uniform(5, 30, M)
+
+    frame, landmark = drive.frame, drive.landmark
+    age = drive.times[frame] - drive.times[drive.first_seen[landmark]]
+    world_T_imu = (drive.truth_world_T_cam @ camera.cam_T_imu)[frame]
+    stands = drive.truth_landmarks[landmark]
+    there, _ = camera.observe(world_T_imu, stands)
+    moved, in_front = camera.observe(world_T_imu, stands + age[:, None] * velocity[landmark])
+    # Inside the image, as far as this drive shows where its borders are.
+    inside = (moved >= drive.pixels.min(0)) & (moved <= drive.pixels.max(0))
+    moves[landmark[~(in_front & inside.all(-1))]] = False
+
+    pixels = drive.pixels + np.where(moves[landmark, None], moved - there, 0)
+    pixels[:, 2] += np.where(chosen & ~moves, mismatch, 0)[landmark]
+    return _planted(drive, f"{chosen.sum()} outlier tracks of {M}", pixels=pixels)

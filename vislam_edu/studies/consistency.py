@@ -1,0 +1,232 @@
+"""Monte Carlo: does the truth lie where the filter says it does, drive after drive?
+
+One drive proves nothing, for a good filter is unlucky at times. So many drives are simulated, each with
+its own seed; the same filters run over each; and the squared errors are held against what the filters
+claimed.
+
+    make_drive = functools.partial(simulate.street_loop, frames=200)
+    studies = monte_carlo(make_drive, standard_filters(Noise()), range(50), out="study")
+    summary(studies)["right_invariant"]["nees_pose"]
+
+With `out`, every drive leaves a file, and a study that was interrupted goes on where it stopped. The
+numbers depend on the seeds alone, not on the workers: every random draw comes from the seed, and `import
+vislam_edu` keeps the linear algebra of each worker to one thread. Two lines put a study on two cores, or
+on a cluster:
+
+    with joblib.parallel_config(n_jobs=2):
+        monte_carlo(...)
+
+    client = dask.distributed.Client("scheduler:8786")
+    with joblib.parallel_config(backend="dask"):
+        monte_carlo(...)
+"""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import joblib
+import numpy as np
+from tqdm.auto import tqdm
+
+from .. import metrics, se3, window_slam
+from ..error_state import ErrorState, RightInvariant, RightPerturbation
+from ..noise import Noise
+from ..recordings.files import replacing
+
+_START = 100  # the stream of a seed that draws the filter's initial pose; simulate uses the first few
+
+
+@dataclass(frozen=True, eq=False)
+class FilterConfig:
+    """A joint filter to be judged: what it believes of the sensors, its error state, other options.
+
+    noise : Noise. error_state : `ErrorState`. options : further keyword arguments of `window_slam.run`.
+    """
+
+    noise: Noise
+    error_state: ErrorState
+    options: dict = field(default_factory=dict)
+
+
+def standard_filters(noise):
+    """The four filters of the study by name, each one step further from the report's.
+
+    noise : Noise, what the sensors really have.
+
+    report_values       the report's W, V and Sigma_0, its error and its new landmarks
+    report              the same with the noise the sensors have
+    right_perturbation  and with new landmarks that are correlated with the pose
+    right_invariant     and with the right-invariant error
+    """
+    as_report = {"process_frame": window_slam.as_report}
+    return {
+        "report_values": FilterConfig(Noise.from_report(), RightPerturbation(), as_report),
+        "report": FilterConfig(noise, RightPerturbation(), as_report),
+        "right_perturbation": FilterConfig(noise, RightPerturbation()),
+        "right_invariant": FilterConfig(noise, RightInvariant()),
+    }
+
+
+@dataclass(frozen=True, eq=False)
+class Study:
+    """What one filter did over N drives of T frames.
+
+    seeds : (N,). nees_pose, nees_rotation, nees_position : (N, T), see `metrics.pose_nees`.
+    nis : (N,) mean NIS of one measurement. measurements : (N,) how many that is the mean of.
+    error : (N, T) m, distance of the estimated from the true position, both seen from frame 0: the drift,
+    which is what the sensors can tell. error_world : (N, T) m, the same in the world, the error of the
+    initial pose included.
+    """
+
+    seeds: np.ndarray
+    nees_pose: np.ndarray
+    nees_rotation: np.ndarray
+    nees_position: np.ndarray
+    nis: np.ndarray
+    measurements: np.ndarray
+    error: np.ndarray
+    error_world: np.ndarray
+
+
+_FIELDS = ("nees_pose", "nees_rotation", "nees_position", "nis", "measurements", "error", "error_world")
+
+
+def judge(drive, candidate, world_T_imu):
+    """Run one filter over one drive from a given initial pose; a dict of the fields of `Study` for this run.
+
+    drive : Drive with truth. candidate : Filter. world_T_imu : (4, 4).
+    """
+    true = drive.true_world_T_imu
+    steps = list(window_slam.run(drive, candidate.noise, candidate.error_state, world_T_imu=world_T_imu,
+                          **candidate.options))
+    estimated = np.array([step.posterior.world_T_imu for step in steps])
+    covariance = np.array([step.posterior.pose_covariance for step in steps])
+    nees = metrics.pose_nees(candidate.error_state, true, estimated, covariance)
+    from_start = [se3.inverse(poses[0]) @ poses for poses in (true, estimated)]
+    return {
+        "nees_pose": nees.pose,
+        "nees_rotation": nees.rotation,
+        "nees_position": nees.position,
+        "nis": metrics.average_nis(steps),
+        "measurements": sum(int(np.isfinite(step.innovation.nis).sum()) for step in steps),
+        "error": metrics.position_errors(*from_start),
+        "error_world": metrics.position_errors(true, estimated),
+    }
+
+
+def initial_pose(drive, candidate, seed):
+    """(4, 4): where the filter believes to start: off the truth by a draw from its own covariance.
+
+    A filter that started at the truth, yet claimed to be uncertain of it, would look better than it is.
+    The same seed draws the same pose for every filter with this covariance.
+    """
+    rng = np.random.default_rng((seed, _START))
+    error = rng.multivariate_normal(np.zeros(6), candidate.noise.initial_pose_covariance)
+    return candidate.error_state.retract(drive.true_world_T_imu[0], np.empty((0, 3)), -error)[0]
+
+
+def _one_seed(make_drive, filters, seed, path, study):
+    """All filters over the drive of one seed, {name: fields of `Study`}; from its file if there is one."""
+    if path is not None and path.exists():
+        return _load(path, filters, study)
+    drive = make_drive(seed)
+    runs = {name: judge(drive, candidate, initial_pose(drive, candidate, seed))
+            for name, candidate in filters.items()}
+    if path is not None:
+        with replacing(path) as file:
+            np.savez(file, study=study, **{f"{name}.{key}": value
+                                           for name, run in runs.items() for key, value in run.items()})
+    return runs
+
+
+def _load(path, filters, study):
+    with np.load(path, allow_pickle=False) as file:
+        if file["study"] != study:
+            raise ValueError(f"{path} belongs to a study of other drives or filters: "
+                             "give another directory, or delete this one")
+        return {name: {key: file[f"{name}.{key}"] for key in _FIELDS} for name in filters}
+
+
+def monte_carlo(make_drive, filters, seeds, out=None):
+    """Run filters side by side over simulated drives, in parallel where `joblib.parallel_config` says so.
+
+    make_drive : seed -> Drive with truth, all of one length; a function that a worker can import, or a
+    functools.partial of one. filters : {name: FilterConfig}. seeds : iterable of int.
+    out : directory for one file per seed, made if need be; files of the same study that it holds are not
+    run again.
+    Returns {name: Study}.
+    Raises ValueError when `out` holds runs of another study: what counts are make_drive, its arguments and
+    the filters. A change of the package's own code is not noticed; take a new directory then.
+    """
+    seeds = [int(seed) for seed in seeds]
+    if not seeds or len(set(seeds)) < len(seeds):
+        raise ValueError(f"seeds must be at least one, and all different, got {seeds}")
+    study = joblib.hash((make_drive, filters))
+    paths: list[Path | None] = [None] * len(seeds)
+    if out is not None:
+        Path(out).mkdir(parents=True, exist_ok=True)
+        paths = [Path(out) / f"seed_{seed:05d}.npz" for seed in seeds]
+    results = joblib.Parallel(return_as="generator")(
+        joblib.delayed(_one_seed)(make_drive, filters, seed, path, study) for seed, path in zip(seeds, paths))
+    runs = list(tqdm(results, total=len(seeds), desc="drives", unit="drive"))
+    return {name: Study(np.array(seeds), *(np.array([run[name][key] for run in runs]) for key in _FIELDS))
+            for name in filters}
+
+
+def summary(studies) -> dict:
+    """The study in figures, as written to summary.json: per filter, means over all runs and frames.
+
+    nees_pose, nees_rotation, nees_position   6, 3 and 3 are right
+    nees_pose_standard_error                  of nees_pose, from the scatter of the N means over a run
+    frames_in_band                            share of frames whose mean over runs lies in band_99
+    nis                                       of one stereo measurement, 4 is right
+    rmse_m, rmse_world_m                      RMS of `Study.error` and `Study.error_world`
+
+    and for all of them runs, frames, band_99 (pose) and band_99_3_dof (rotation or position): where 99 % of
+    the means over N runs lie at any one frame if the filter is honest, chi-square with 6 N and 3 N degrees of
+    freedom. The mean over the frames as well is held against the same band. That would be exact if errors
+    were constant along a drive; they change, so an honest filter lies in it more often than 99 % of the time.
+    Source of the band: Bar-Shalom, Li, Kirubarajan, Estimation with Applications to Tracking and Navigation,
+    section 5.4.2.
+    """
+    first = next(iter(studies.values()))
+    runs, frames = first.nees_pose.shape
+    band = metrics.chi2_band(6, runs)
+    figures = {name: _figures(study, band) for name, study in studies.items()}
+    return figures | {"runs": runs, "frames": frames, "band_99": list(band),
+                      "band_99_3_dof": list(metrics.chi2_band(3, runs))}
+
+
+def _figures(study, band) -> dict:
+    runs = len(study.seeds)
+    over_runs = study.nees_pose.mean(axis=0)
+    of_runs = study.nees_pose.mean(axis=1)
+    return {
+        "nees_pose": float(of_runs.mean()),
+        "nees_pose_standard_error": float(of_runs.std(ddof=1) / np.sqrt(runs)) if runs > 1 else None,
+        "frames_in_band": float(np.mean((band[0] <= over_runs) & (over_runs <= band[1]))),
+        "nees_rotation": float(study.nees_rotation.mean()),
+        "nees_position": float(study.nees_position.mean()),
+        "nis": float(np.average(study.nis, weights=study.measurements)),
+        "rmse_m": float(np.sqrt(np.mean(study.error**2))),
+        "rmse_world_m": float(np.sqrt(np.mean(study.error_world**2))),
+    }
+
+
+def format_summary(figures) -> str:
+    """The summary as text, one line per filter."""
+    columns = {"nees_pose": "NEES pose", "nees_rotation": "rotation", "nees_position": "position",
+               "nis": "NIS", "rmse_m": "RMSE m", "rmse_world_m": "in world"}
+    names = [name for name, value in figures.items() if isinstance(value, dict)]
+    width = max(map(len, names))
+    lines = [" " * width + "".join(f"{title:>11}" for title in columns.values())]
+    lines += [f"{name:{width}}" + "".join(f"{_digits(figures[name][key]):>11}" for key in columns)
+              for name in names]
+    low, high = figures["band_99"]
+    lines.append(f"{figures['runs']} drives of {figures['frames']} frames; "
+                 f"99 % band of the pose's NEES [{low:.2f}, {high:.2f}]")
+    return "\n".join(lines)
+
+
+def _digits(value) -> str:
+    return f"{value:.0f}" if value >= 100 else f"{value:.2f}"

@@ -1,0 +1,215 @@
+"""The report's whole pipeline over one recording: dead reckoning, a map on it, and the joint filter.
+
+    result = pipeline.run_pipeline(drive, Noise())
+    report_figures.slam_landmarks(result)
+
+A thousand `Step`s of the joint filter hold two covariances each, about a gigabyte. So the filter is
+listened to as it goes, and of each landmark only its last estimate is kept.
+"""
+
+import time
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from .. import kalman, mapping, motion, odometry, window_slam
+from ..drive import Drive
+from ..error_state import RightPerturbation
+from ..mapping import MapBelief
+from ..noise import Noise
+from ..odometry import Trajectory
+
+
+@dataclass(frozen=True, eq=False)
+class Mapped:
+    """What the landmark EKF said of poses that it had to believe.
+
+    map : MapBelief after the last frame. measurements : how many were compared with a prediction.
+    contradicting : how many of them a 99 % gate would have kept out. There is no gate here: the report has
+    none, and on dead-reckoned poses it would leave one measurement in ten.
+    """
+
+    map: MapBelief
+    measurements: int
+    contradicting: int
+
+
+@dataclass(frozen=True, eq=False)
+class Slam:
+    """What the joint filter said.
+
+    trajectory : Trajectory after each frame's update, its covariance told as a right perturbation whatever
+    the error state of the filter. map : MapBelief, each landmark as it was when it left the state, or at the
+    end, its covariance in the world frame (m^2). measurements, rejected : how many were compared with a
+    prediction, and how many of them the gate kept out. seconds : what the filter took. method : key of the
+    series' colours and labels.
+    """
+
+    trajectory: Trajectory
+    map: MapBelief
+    measurements: int
+    rejected: int
+    seconds: float
+    method: str
+
+    @property
+    def rejected_share(self) -> float:
+        """Of the measurements, those that the gate kept out; 0 where there were none."""
+        return self.rejected / self.measurements if self.measurements else 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Result:
+    """Everything that the report's figures show of one recording.
+
+    initial : MapBelief, each landmark triangulated at first sight from the dead-reckoned pose.
+    mapped : the landmark EKF on dead-reckoned poses, initialised as the report does. slam : the joint
+    filter.
+    """
+
+    drive: Drive
+    noise: Noise
+    dead_reckoning: Trajectory
+    initial: MapBelief
+    mapped: Mapped
+    slam: Slam
+    gate: float = 0.99
+
+    @property
+    def warnings(self) -> list[str]:
+        """What the filter's own gate says against its result, in words; empty when nothing does.
+
+        A gate of 99 % turns away one good measurement in a hundred. Ten times as many mean that the measurements and
+        the filter's claims do not fit together, whoever is wrong.
+        """
+        share, expected = self.slam.rejected_share, 1 - self.gate
+        if share <= 10 * expected or not expected:
+            return []
+        return [f"the gate kept out {100 * share:.0f} % of the measurements where {100 * expected:.2g} % is normal: "
+                "tracks, calibration or noise are not what the filter was told, so do not trust its covariance "
+                "(python -m vislam_edu audit shows which)"]
+
+
+def no_progress(frames, **_):
+    """No progress bar: the default of `run_pipeline`."""
+    return frames
+
+
+TRACK_SIGMA_PX = 1.0  # px. From frame to frame tracks scatter by 0.2 px, but over their life they slip.
+
+
+def noise_of_real_drive(measured) -> Noise:
+    """The noise to filter a real drive with: its IMU's as measured, and 1 px for tracks that slip as they age.
+
+    measured : `measured_noise.MeasuredNoise`, or None where nothing could be measured (then the IMU's defaults).
+    """
+    if measured is None:
+        return Noise(sigma_px=TRACK_SIGMA_PX)
+    return replace(measured.noise, sigma_px=TRACK_SIGMA_PX)
+
+
+def run_pipeline(drive, noise, error_state=None, *, motion_model=motion.ImuDriven, method="slam", process_frame=window_slam.correlated,
+        gate=0.99, min_disparity=1.0, progress=no_progress) -> Result:
+    """All the report's estimates of one drive.
+
+    drive : Drive. noise : Noise, of all of them. error_state, motion_model, process_frame : see `window_slam.run`; the
+    other two filters do not have the choice. method : key of `style.COLOURS` that the joint filter is drawn with.
+    gate : probability that a good measurement passes, in the joint filter. min_disparity : px, below it a
+    landmark waits for a better view. progress : called as `progress(frames, total=, desc=)`, yields what
+    `frames` yields; tqdm fits.
+    """
+    dead_reckoning = odometry.dead_reckon(drive, noise)
+    poses = dead_reckoning.world_T_imu
+    initial = first_sight(drive, noise, poses, min_disparity)
+    steps = mapping.run(drive, noise, poses, mapping.as_report, gate=1, min_disparity=min_disparity)
+    mapped = collect_mapping(progress(steps, total=drive.n_frames, desc="mapping"))
+    error_state = error_state or RightPerturbation()
+    steps = window_slam.run(drive, noise, error_state, motion_model=motion_model, process_frame=process_frame, gate=gate,
+                     min_disparity=min_disparity)
+    steps = progress(steps, total=drive.n_frames, desc="SLAM")
+    joint = collect_slam(drive, steps, error_state, method)
+    return Result(drive, noise, dead_reckoning, initial, mapped, joint, gate)
+
+
+def first_sight(drive, noise, world_T_imu, min_disparity=1.0) -> MapBelief:
+    """Each landmark where its first good stereo view puts it, the poses (T, 4, 4) taken for known.
+
+    A view is good when its disparity is above `min_disparity` px. Covariance: that of the triangulation
+    alone. Source: report section 3.2.1 and figure 2.
+    """
+    camera = drive.camera
+    points, ok = camera.triangulate(drive.pixels, min_disparity)
+    rows = np.flatnonzero(ok)[::-1]
+    first = np.full(drive.n_landmarks, -1)
+    first[drive.landmark[rows]] = rows  # of several writes to one place the last one stays: the first view
+    seen = first >= 0
+    landmarks, covariance = np.zeros((len(seen), 3)), np.zeros((len(seen), 3, 3))
+    poses, points = np.asarray(world_T_imu)[drive.frame[first[seen]]], points[first[seen]]
+    landmarks[seen] = camera.to_world(poses, points)
+    R = poses[:, :3, :3] @ camera.imu_T_cam[:3, :3]
+    covariance[seen] = R @ camera.triangulation_covariance(points, noise.sigma_px) @ np.swapaxes(R, -1, -2)
+    return MapBelief(landmarks, covariance, seen)
+
+
+def collect_mapping(steps) -> Mapped:
+    """Listen to `mapping.run` and keep what a picture needs. steps : of `mapping.run`, with any gate."""
+    threshold = kalman.gate_threshold(0.99)
+    measurements = contradicting = 0
+    for step in steps:
+        measurements += len(step.innovation.ids)
+        contradicting += int(np.count_nonzero(~(step.innovation.nis <= threshold)))
+    return Mapped(step.posterior, measurements, contradicting)
+
+
+def collect_slam(drive, steps, error_state, method="slam") -> Slam:
+    """Listen to `window_slam.run` and keep what a picture needs.
+
+    steps : of `window_slam.run(drive, ...)` with this error state. A landmark's estimate is the one it had when
+    it was last in the state: on retirement, or at the end.
+    """
+    T, M = drive.n_frames, drive.n_landmarks
+    poses, covariance = np.empty((T, 4, 4)), np.empty((T, 6, 6))
+    landmarks, spread, seen = np.zeros((M, 3)), np.zeros((M, 3, 3)), np.zeros(M, bool)
+    measurements = rejected = 0
+
+    def keep(belief, ids):
+        rows = np.searchsorted(belief.ids, ids)
+        landmarks[ids], seen[ids] = belief.landmarks[rows], True
+        spread[ids] = world_landmark_covariance(belief, error_state)[rows]
+
+    begin = time.perf_counter()
+    last = motion.start(Noise())  # nobody retires before frame 0
+    for step in steps:
+        if len(step.retired):
+            keep(last, step.retired)
+        last = step.posterior
+        poses[step.k] = last.world_T_imu
+        covariance[step.k] = right_pose_covariance(last, error_state)
+        measurements += len(step.innovation.ids)
+        rejected += int(np.count_nonzero(~step.innovation.accepted))
+    keep(last, last.ids)
+    seconds = time.perf_counter() - begin
+    return Slam(Trajectory(drive.times, poses, covariance), MapBelief(landmarks, spread, seen),
+                measurements, rejected, seconds, method)
+
+
+def world_landmark_covariance(belief, error_state):
+    """(n, 3, 3) m^2: covariance of each landmark's position in the world, whatever the filter calls an error.
+
+    With m - m_hat = x_m + C x_pose it is P_mm + C P_pm + P_mp C^T + C P_pp C^T.
+    """
+    P_mm = belief.landmark_covariance
+    C = error_state.world_landmark(belief.landmarks)
+    if C is None:
+        return P_mm
+    Ct = np.swapaxes(C, -1, -2)
+    P_mp = belief.covariance[:3 * len(belief.ids), belief.pose].reshape(-1, 3, 6)
+    cross = P_mp @ Ct
+    return P_mm + cross + np.swapaxes(cross, -1, -2) + C @ belief.pose_covariance @ Ct
+
+
+def right_pose_covariance(belief, error_state):
+    """(6, 6) covariance of the pose as a right perturbation T exp(epsilon^), to first order."""
+    T = belief.world_T_imu
+    to_right = RightPerturbation().world_pose(T).T @ error_state.world_pose(T)  # rotations: the inverse is .T
+    return to_right @ belief.pose_covariance @ to_right.T
