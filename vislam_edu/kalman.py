@@ -3,7 +3,7 @@
 Everything broadcasts over leading axes: one call updates one state, or thousands of independent ones.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -73,6 +73,44 @@ def update(covariance, H, V, residual):
     A = np.eye(covariance.shape[-1]) - K @ H
     new = A @ covariance @ np.swapaxes(A, -1, -2) + K @ V @ np.swapaxes(K, -1, -2)
     return (K @ residual[..., None])[..., 0], (new + np.swapaxes(new, -1, -2)) / 2
+
+
+@dataclass(frozen=True, eq=False)
+class Belief:
+    """A Gaussian over the landmarks in the window and the pose, in the coordinates of one error state.
+
+    world_T_imu : (4, 4). landmarks : (n, 3), m, world. ids : (n,), which landmarks of the drive they are.
+    covariance : (3n+6+t, 3n+6+t), order [landmarks, position, rotation, motion].
+    motion : (t,), what a motion model estimates beyond the pose (twist, bias); empty for the plain filter.
+    """
+
+    world_T_imu: np.ndarray
+    landmarks: np.ndarray
+    ids: np.ndarray
+    covariance: np.ndarray
+    motion: np.ndarray = field(default_factory=lambda: np.empty(0))
+
+    def __post_init__(self):
+        for array in (self.world_T_imu, self.landmarks, self.ids, self.covariance, self.motion):
+            array.flags.writeable = False
+
+    @property
+    def pose(self) -> slice:
+        """Where the pose error stands in the state."""
+        n = 3 * len(self.landmarks)
+        return slice(n, n + 6)
+
+    @property
+    def pose_covariance(self) -> np.ndarray:
+        """(6, 6), order [position, rotation]."""
+        return self.covariance[self.pose, self.pose]
+
+    @property
+    def landmark_covariance(self) -> np.ndarray:
+        """(n, 3, 3), the landmarks' own blocks."""
+        n = len(self.landmarks)
+        i = np.arange(n)
+        return self.covariance[:3 * n, :3 * n].reshape(n, 3, n, 3)[i, :, i, :]
 
 
 @dataclass(frozen=True, eq=False)

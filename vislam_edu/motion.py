@@ -1,48 +1,11 @@
 """The joint belief over map and pose, and how it moves from one frame to the next."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
 from . import se3
-
-
-@dataclass(frozen=True, eq=False)
-class Belief:
-    """A Gaussian over the landmarks in the window and the pose, in the coordinates of one error state.
-
-    world_T_imu : (4, 4). landmarks : (n, 3), m, world. ids : (n,), which landmarks of the drive they are.
-    covariance : (3n+6+t, 3n+6+t), order [landmarks, position, rotation, motion].
-    motion : (t,), what a motion model estimates beyond the pose (twist, bias); empty for the plain filter.
-    """
-
-    world_T_imu: np.ndarray
-    landmarks: np.ndarray
-    ids: np.ndarray
-    covariance: np.ndarray
-    motion: np.ndarray = field(default_factory=lambda: np.empty(0))
-
-    def __post_init__(self):
-        for array in (self.world_T_imu, self.landmarks, self.ids, self.covariance, self.motion):
-            array.flags.writeable = False
-
-    @property
-    def pose(self) -> slice:
-        """Where the pose error stands in the state."""
-        n = 3 * len(self.landmarks)
-        return slice(n, n + 6)
-
-    @property
-    def pose_covariance(self) -> np.ndarray:
-        """(6, 6), order [position, rotation]."""
-        return self.covariance[self.pose, self.pose]
-
-    @property
-    def landmark_covariance(self) -> np.ndarray:
-        """(n, 3, 3), the landmarks' own blocks."""
-        n = len(self.landmarks)
-        i = np.arange(n)
-        return self.covariance[:3 * n, :3 * n].reshape(n, 3, n, 3)[i, :, i, :]
+from .kalman import Belief
 
 
 def start(noise, world_T_imu=None) -> Belief:
