@@ -110,7 +110,8 @@ def test_prediction_without_the_cross_terms_is_that_of_the_exercise(drive, belie
 def test_motion_pieces_change_the_noise_or_the_twist_only(drive):
     right, unscaled, swapped, degrees = (
         kind(drive, NOISE, RightPerturbation())
-        for kind in (motion.ImuDriven, broken_filters.NoiseWithoutTau, broken_filters.SwappedTwist, broken_filters.Degrees)
+        for kind in (motion.ImuDriven, broken_filters.NoiseWithoutTau, broken_filters.SwappedTwist,
+                     broken_filters.Degrees)
     )
     np.testing.assert_allclose(unscaled.body_noise * drive.taus[:, None, None], right.body_noise)
     np.testing.assert_array_equal(unscaled.increments, right.increments)

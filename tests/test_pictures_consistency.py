@@ -41,7 +41,8 @@ def tuned(drive, start):
 
 @pytest.fixture(scope="module")
 def pair(drive, start):
-    return [list(window_slam.run(drive, NOISE, error, world_T_imu=start)) for error in (RightPerturbation(), RightInvariant())]
+    return [list(window_slam.run(drive, NOISE, error, world_T_imu=start)) for error in (RightPerturbation(),
+                                                                                        RightInvariant())]
 
 
 @pytest.fixture(scope="module")

@@ -1,78 +1,80 @@
-"""The two lists that a reader goes by: the names in the package's docstring, the files in the README."""
+"""The names that the package offers, what importing it costs, and the README's table of its rooms."""
 
-import ast
-import json
 import re
-from collections import Counter, defaultdict
-from importlib import import_module
-from inspect import ismodule
+import subprocess
+import sys
 from pathlib import Path
 
+import pytest
+
 import vislam_edu
-from vislam_edu import exercises
 
 ROOT = Path(__file__).resolve().parents[1]
 
 
-def listed():
-    """{file: names} as the package's docstring has them."""
-    names = defaultdict(set)
-    files, pictures = vislam_edu.__doc__.partition("What the chapters use")[2].split("and of the pictures")
-    for prefix, table in (("", files), ("pictures.", pictures)):
-        rows = re.sub(r"\n +", " ", table).splitlines()[2:]  # a long row goes on below
-        names |= {prefix + row.split()[0]: set(row.split()[1:]) for row in rows if row}
-    return names
+def test_all_is_the_list_in_the_docstring_and_what_dir_shows():
+    table = vislam_edu.__doc__.partition("in the order of the notebooks:")[2].partition("\n\nA name")[0]
+    listed = [line.split()[0] for line in table.splitlines() if line.strip()]
+    assert sorted(listed) == sorted(vislam_edu.__all__) == dir(vislam_edu)
 
 
-def used():
-    """{file: names} that the notebooks' cells import from the package, or reach through a file that they import."""
-    names = defaultdict(set, exercises=set(exercises.__all__))  # hint and solution are for the student to call
-    for path in (ROOT / "notebooks").glob("*.ipynb"):
-        files = {}  # by the name that the notebook gives them
-        nodes = list(ast.walk(ast.parse(code(path))))
-        for node in nodes:
-            if isinstance(node, ast.ImportFrom) and node.module.startswith("vislam_edu"):
-                for alias in node.names:
-                    if ismodule(look_up(node.module, alias.name)):
-                        files[alias.name] = f"{node.module}.{alias.name}".removeprefix("vislam_edu.")
-                    else:
-                        names[node.module.removeprefix("vislam_edu.")].add(alias.name)
-        for node in nodes:
-            if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id in files:
-                names[files[node.value.id]].add(node.attr)
-    return names
+@pytest.mark.parametrize("name", vislam_edu.__all__)
+def test_every_name_is_there_and_explained(name):
+    assert getattr(vislam_edu, name).__doc__
 
 
-def code(path):
-    """The cells of a notebook as one program, without IPython's own commands."""
-    cells = json.loads(path.read_text(encoding="utf-8"))["cells"]
-    text = "\n".join("".join(cell["source"]) for cell in cells if cell["cell_type"] == "code")
-    return re.sub(r"(?m)^%.*$", "", text)
+def test_another_name_is_an_attribute_error():
+    with pytest.raises(AttributeError, match="no attribute 'nothing'"):
+        vislam_edu.nothing  # noqa: B018
 
 
-def look_up(module, name):
-    """What `from module import name` gives."""
-    try:
-        return getattr(import_module(module), name)
-    except AttributeError:
-        return import_module(f"{module}.{name}")
-
-
-def test_the_docstring_lists_what_the_chapters_use_and_nothing_else():
-    assert listed() == used()
-
-
-def test_what_is_listed_is_there_and_explained():
-    for file, names in listed().items():
-        for name in names:
-            thing = look_up(f"vislam_edu.{file}", name)
-            assert thing.__doc__ or not callable(thing), f"{file}.{name} has no docstring"
-
-
-def test_the_readme_lists_every_file_of_the_package_once():
+def test_the_readme_has_one_row_a_room():
     table = (ROOT / "README.md").read_text(encoding="utf-8").partition("## The package")[2].partition("\n## ")[0]
-    rows = [line.split("|")[1] for line in table.splitlines() if line.startswith("| `")]
-    package = ROOT / "vislam_edu"
-    files = [path.stem for path in package.glob("*.py") if path.stem != "__init__"]
-    folders = [f"{path.parent.name}/" for path in package.glob("*/__init__.py")]
-    assert Counter(re.findall(r"`([^`]+)`", " ".join(rows))) == Counter(files + folders)
+    rows = re.findall(r"(?m)^\| `(\w+)/`", table)
+    assert sorted(rows) == sorted(path.parent.name for path in (ROOT / "vislam_edu").glob("*/__init__.py"))
+
+
+def test_the_readme_names_every_core_file_once():
+    table = (ROOT / "README.md").read_text(encoding="utf-8").partition("## The package")[2].partition("\n## ")[0]
+    [core] = [line for line in table.splitlines() if line.startswith("| the core")]
+    files = {path.stem for path in (ROOT / "vislam_edu").glob("*.py")} - {"__init__", "__main__"}
+    assert sorted(re.findall(r"`(\w+)`", core)) == sorted(files)
+
+
+def test_importing_the_package_changes_nothing():
+    code = ("import numpy, scipy.linalg, matplotlib, threadpoolctl;"
+            "before = threadpoolctl.threadpool_info(), dict(matplotlib.rcParams);"
+            "import vislam_edu; vislam_edu.window_slam, vislam_edu.plots, vislam_edu.audit, vislam_edu.widgets;"
+            "assert before == (threadpoolctl.threadpool_info(), dict(matplotlib.rcParams))")
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0, done.stderr
+
+
+def test_drawing_leaves_the_settings_of_matplotlib_alone():
+    code = ("import matplotlib; before = dict(matplotlib.rcParams);"
+            "from vislam_edu import audit, load, plots, simulate; figure, axes = plots.new_figure();"
+            "plots.finish(figure, 'title').savefig('/dev/null', format='png');"
+            "audit.audit(simulate.street_loop(frames=20, visible=15)).figure();"
+            "assert before == dict(matplotlib.rcParams)")
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0, done.stderr
+
+
+def test_a_filter_limits_threads_while_it_works_and_not_between_frames():
+    from threadpoolctl import threadpool_info, threadpool_limits
+
+    from vislam_edu import Noise, load, window_slam
+
+    def threads():
+        return {info["num_threads"] for info in threadpool_info() if info["user_api"] == "blas"}
+
+    inside = set()
+
+    def process_frame(*arguments):
+        inside.update(threads())
+        return window_slam.correlated(*arguments)
+
+    with threadpool_limits(limits=2, user_api="blas"):
+        for _, _step in zip(range(3), window_slam.run(load("first_steps"), Noise(), process_frame=process_frame)):
+            assert threads() == {2}
+    assert inside == {1}

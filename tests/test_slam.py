@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import reference
 
-from vislam_edu import kalman, simulate, window_slam
+from vislam_edu import blockwise, ekf_slam, simulate, window_slam
 from vislam_edu.error_state import RightInvariant, RightPerturbation
 from vislam_edu.noise import Noise
 
@@ -19,25 +19,51 @@ def small():
     return simulate.street_loop(seed=3, frames=60, visible=10, outlier_share=0.1)
 
 
-def world_blocks(step):
-    return {i: (m, P) for i, m, P in zip(step.posterior.ids, step.posterior.landmarks,
-                                         step.posterior.landmark_covariance)}
-
-
-@pytest.mark.parametrize(("process_frame", "as_report"), [(window_slam.correlated, False), (window_slam.as_report, True)])
-def test_agrees_with_the_plain_reference_over_all_frames(small, process_frame, as_report):
-    gate = 0.99
-    plain = reference.run(small, NOISE, kalman.gate_threshold(gate), 1.0, as_report)
+@pytest.mark.parametrize(("frame", "plain_frame"), [(window_slam.correlated, ekf_slam.correlated),
+                                                    (window_slam.as_report, ekf_slam.as_report)])
+def test_agrees_with_the_plain_filter_over_all_frames(small, frame, plain_frame):
     rejected = 0
-    for step, (T, P, landmarks, nis) in zip(window_slam.run(small, NOISE, process_frame=process_frame, gate=gate), plain, strict=True):
-        np.testing.assert_allclose(step.posterior.world_T_imu, T, atol=1e-8)
-        np.testing.assert_allclose(step.posterior.pose_covariance, P, atol=1e-10, rtol=1e-8)
-        np.testing.assert_allclose(step.innovation.nis, [nis[i] for i in step.innovation.ids], rtol=1e-6)
-        for i, (m, C) in world_blocks(step).items():
-            np.testing.assert_allclose(m, landmarks[i][0], atol=1e-8)
-            np.testing.assert_allclose(C, landmarks[i][1], atol=1e-8, rtol=1e-7)
+    for step, plain in zip(window_slam.run(small, NOISE, process_frame=frame), ekf_slam.run(small, NOISE, plain_frame),
+                           strict=True):
+        a, b = step.posterior, plain.posterior
+        rows = np.array([list(b.ids).index(i) for i in a.ids])
+        index = np.concatenate([(3 * rows[:, None] + np.arange(3)).ravel(), np.arange(-6, 0)])
+        np.testing.assert_allclose(a.world_T_imu, b.world_T_imu, atol=1e-9)
+        np.testing.assert_allclose(a.landmarks, b.landmarks[rows], atol=1e-9)
+        np.testing.assert_allclose(a.covariance, b.covariance[np.ix_(index, index)], atol=1e-9)
+        np.testing.assert_array_equal(step.innovation.accepted, plain.innovation.accepted)
+        np.testing.assert_allclose(step.innovation.nis, plain.innovation.nis, rtol=1e-6)
+        np.testing.assert_array_equal(step.born, plain.born)
         rejected += (~step.innovation.accepted).sum()
     assert rejected > 0, "the gate was never at work, so this says nothing about it"
+
+
+def test_the_order_of_the_measurements_does_not_matter(small):
+    """Also when everything in the window is measured: blocks of H must follow the ids, not their position."""
+    step = list(window_slam.run(small, NOISE))[30]
+    settings = window_slam.UpdateSettings(small.camera, NOISE, RightPerturbation(), np.inf, 1.0)
+    ids, pixels = step.innovation.ids, step.innovation.measured
+    assert len(ids) == len(step.prior.ids) > 3
+    shuffled = np.random.default_rng(0).permutation(len(ids))
+    sorted_, _ = window_slam.update(step.prior, ids, pixels, settings)
+    mixed, _ = window_slam.update(step.prior, ids[shuffled], pixels[shuffled], settings)
+    np.testing.assert_allclose(mixed.world_T_imu, sorted_.world_T_imu, atol=1e-12)
+    np.testing.assert_allclose(mixed.covariance, sorted_.covariance, atol=1e-12)
+
+
+def test_chunks_give_what_one_update_gives(monkeypatch):
+    """Seven chunks of five against all measurements at once, from the plain Kalman update."""
+    drive = simulate.street_loop(seed=2, frames=12, visible=60)
+    step = list(window_slam.run(drive, NOISE))[-1]
+    settings = window_slam.UpdateSettings(drive.camera, NOISE, RightPerturbation(), np.inf, 1.0)
+    ids, pixels = step.innovation.ids, step.innovation.measured
+    monkeypatch.setattr(blockwise, "CHUNK", 5)
+    posterior, _ = window_slam.update(step.prior, ids, pixels, settings)
+    plain, _ = ekf_slam.update(step.prior, ids, pixels, drive.camera, NOISE, np.inf)
+    assert len(ids) > 25
+    np.testing.assert_allclose(posterior.world_T_imu, plain.world_T_imu, atol=1e-10)
+    np.testing.assert_allclose(posterior.landmarks, plain.landmarks, atol=1e-9)
+    np.testing.assert_allclose(posterior.covariance, plain.covariance, atol=1e-10)
 
 
 @pytest.mark.parametrize("error_state", [RightPerturbation(), RightInvariant()])
@@ -115,7 +141,7 @@ def test_newborn_landmarks_are_correlated_with_the_pose_and_used_once(small):
 def test_joint_filter_beats_dead_reckoning_tenfold_on_the_embedded_drive():
     from vislam_edu import odometry, recordings
 
-    drive = recordings.load(recordings.find("street_loop.npz"))
+    drive = recordings.load("street_loop")
     truth = drive.true_world_T_imu[:, :3, 3]
     estimate = np.array([s.posterior.world_T_imu[:3, 3] for s in window_slam.run(drive, NOISE)])
     reckoned = odometry.dead_reckon(drive, NOISE).world_T_imu[:, :3, 3]
@@ -142,7 +168,8 @@ def test_cross_covariances_matter():
 
 
 def test_without_cross_covariance_leaves_no_cross_covariance(small):
-    for step in window_slam.run(small.slice(0, 10), NOISE, process_frame=window_slam.without_cross_covariance(window_slam.correlated)):
+    for step in window_slam.run(small.slice(0, 10), NOISE,
+                                process_frame=window_slam.without_cross_covariance(window_slam.correlated)):
         P = step.posterior.covariance
         n = len(step.posterior.ids)
         blocks = P[:3 * n, :3 * n].reshape(n, 3, n, 3)

@@ -2,10 +2,15 @@
 
     window_slam.run(drive, noise, RightInvariant(), process_frame=consensus.process_frame)
 
-The gate of `window_slam.update` asks each landmark alone, and the prior forgives much: an IMU of 0.05 rad/s leaves the next
-pixel open by several px, and a wrong track fits in. All wrong tracks would have to be wrong in the same way to fit in
-*together*. So the frame is updated with all that pass, each measurement is held against what the others then say,
-those that contradict are left out, and the update begins again from the prior.
+The gate of `window_slam.update` judges each landmark alone, and the prior is too loose to reject outliers: with an IMU
+of 0.05 rad/s the next pixel is uncertain by several px, and a wrong track fits in. To fit in together, all wrong tracks
+would have to be wrong in the same way. So the frame is updated with all that pass, each measurement is compared with
+the prediction from the others, those that contradict it are left out, and the update begins again from the prior.
+
+>>> from vislam_edu import Noise, RightInvariant, consensus, load, window_slam
+>>> steps = window_slam.run(load("first_steps"), Noise(), RightInvariant(), process_frame=consensus.process_frame)
+>>> next(steps).k
+0
 
 Source: the idea of Civera et al., 1-point RANSAC for extended Kalman filtering, Journal of Field Robotics 2010, with
 the concentration steps of Rousseeuw and Van Driessen, Computing LTS regression, DMKD 2006, in place of random
@@ -17,23 +22,21 @@ from dataclasses import replace
 import numpy as np
 
 from . import kalman, window_slam
+from .kalman import Belief, Innovation
+from .window_slam import Frame, UpdateSettings
 
 ROUNDS = 3  # the choice settles in one or two
 
 
-def process_frame(prior, ids, pixels, settings):
-    """What a frame does, see `window_slam.run`: as `window_slam.correlated`, and the measurements must agree with each other.
+def process_frame(prior: Belief, ids: np.ndarray, pixels: np.ndarray, settings: UpdateSettings) -> Frame:
+    """What a frame does, see `window_slam.run`: as `correlated`, and the measurements must agree with each other.
 
     Returns (prior, posterior, Innovation); its `accepted` are those that the posterior rests on.
     """
-    known = window_slam.contains(prior.ids, ids)
-    posterior, innovation = update(prior, ids[known], pixels[known], settings)
-    if not known.all():
-        posterior = window_slam.add_correlated(posterior, ids[~known], pixels[~known], settings)
-    return prior, posterior, innovation
+    return window_slam.correct_frame(update, prior, ids, pixels, settings)
 
 
-def update(prior, ids, pixels, settings):
+def update(prior: Belief, ids: np.ndarray, pixels: np.ndarray, settings: UpdateSettings) -> tuple[Belief, Innovation]:
     """`window_slam.update` with those measurements that agree with the posterior they lead to.
 
     ids : (m,). pixels : (m, 4). Returns (posterior, Innovation).
@@ -45,14 +48,16 @@ def update(prior, ids, pixels, settings):
     kept, posterior = passed, window_slam.apply_update(prior, linearised, passed, settings)
     for _ in range(ROUNDS):
         agreeing = passed.copy()
-        agreeing[passed] = after_fit(posterior, ids[passed], pixels[passed], kept[passed], settings) <= settings.threshold
+        distance = after_fit(posterior, ids[passed], pixels[passed], kept[passed], settings)
+        agreeing[passed] = distance <= settings.threshold
         if not agreeing.any() or np.array_equal(agreeing, kept):
             break
         kept, posterior = agreeing, window_slam.apply_update(prior, linearised, agreeing, settings)
     return posterior, replace(innovation, accepted=kept)
 
 
-def after_fit(posterior, ids, pixels, used, settings):
+def after_fit(posterior: Belief, ids: np.ndarray, pixels: np.ndarray, used: np.ndarray,
+              settings: UpdateSettings) -> np.ndarray:
     """(m,) squared residuals over their variance, 4 degrees of freedom, of measurements against a posterior.
 
     used : (m,) bool, which of them it rests on: those scatter by no more than V around it. The others scatter by V and

@@ -13,6 +13,7 @@ from __future__ import annotations
 import dataclasses
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -57,7 +58,7 @@ class Drive:
     truth_landmarks: np.ndarray | None = None
     history: tuple[str, ...] = ()
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         for field in ("times", "twists", "pixels", "truth_world_T_cam", "truth_landmarks"):
             self._freeze(field, float)
         for field in ("frame_start", "landmark"):
@@ -67,7 +68,7 @@ class Drive:
         validation.check_observations(self)
         validation.check_truth(self)
 
-    def _freeze(self, field, dtype):
+    def _freeze(self, field: str, dtype: type) -> None:
         value = getattr(self, field)
         if value is None and field.startswith("truth"):
             return
@@ -79,7 +80,8 @@ class Drive:
         object.__setattr__(self, field, value)
 
     @classmethod
-    def from_features(cls, times, twists, features, camera, **fields) -> Drive:
+    def from_features(cls, times: np.ndarray, twists: np.ndarray, features: np.ndarray, camera: StereoCamera,
+                      **fields: Any) -> Drive:
         """A drive from the course's dense array.
 
         features : (4, M, T) px; an observation is missing when all its four numbers are NaN or all are -1.
@@ -118,7 +120,7 @@ class Drive:
         before, after = self.twists[:-1], self.twists[1:]
         return {"k": before, "k+1": after, "mean": (before + after) / 2}[self.imu_sample]
 
-    def observed(self, k) -> tuple[np.ndarray, np.ndarray]:
+    def observed(self, k: int) -> tuple[np.ndarray, np.ndarray]:
         """Landmarks in view in frame k: ids (n,), ascending, and pixels (n, 4)."""
         if not 0 <= k < self.n_frames:
             raise IndexError(f"frame {k} of a drive with frames 0 to {self.n_frames - 1}")
@@ -174,7 +176,7 @@ class Drive:
         return se3.transform(self._imu_T_truth_world, self.truth_landmarks)
 
     @cached_property
-    def _imu_T_truth_world(self):
+    def _imu_T_truth_world(self) -> np.ndarray | None:
         if self.truth_world_T_cam is None:
             return None
         known = np.flatnonzero(np.isfinite(self.truth_world_T_cam[:, 0, 0]))
@@ -182,15 +184,15 @@ class Drive:
             return None
         return se3.inverse(self.truth_world_T_cam[known[0]] @ self.camera.cam_T_imu)
 
-    def replace(self, **fields) -> Drive:
+    def replace(self, **fields: Any) -> Drive:
         """A validated copy with these fields changed."""
         return dataclasses.replace(self, **fields)
 
-    def apply(self, cure) -> Drive:
+    def apply(self, cure: Any) -> Drive:
         """The drive after a cure (`cures`), a function from a drive to a drive with a `name`; the history says so."""
         return cure(self).replace(history=(*self.history, cure.name))
 
-    def slice(self, start, stop=None) -> Drive:
+    def slice(self, start: int, stop: int | None = None) -> Drive:
         """Frames start to stop (excluded), counted as Python does; landmarks never seen there are dropped."""
         start, stop, _ = slice(start, stop).indices(self.n_frames)
         if start >= stop:
@@ -203,7 +205,7 @@ class Drive:
                             truth_world_T_cam=None if truth is None else truth[start:stop])
         return part.keep_landmarks(part.first_seen >= 0)
 
-    def between(self, t0, t1) -> Drive:
+    def between(self, t0: float, t1: float) -> Drive:
         """The frames from t0 to t1 (both included), s since the drive's first frame."""
         since_start = self.times - self.times[0]
         start = np.searchsorted(since_start, t0, side="left")
@@ -212,13 +214,13 @@ class Drive:
             raise DriveError(f"between: no frame from {t0} s to {t1} s in a drive of {self.duration:.3f} s")
         return self.slice(int(start), int(stop))
 
-    def subsample(self, every=10) -> Drive:
+    def subsample(self, every: int = 10) -> Drive:
         """Every `every`-th landmark only (the report, section 4, keeps one in ten)."""
         if every != int(every) or every < 1:
             raise ValueError(f"every: {every}, expected a whole number of at least 1")
         return self.keep_landmarks(np.arange(self.n_landmarks) % int(every) == 0)
 
-    def keep_landmarks(self, mask) -> Drive:
+    def keep_landmarks(self, mask: np.ndarray) -> Drive:
         """Only the landmarks where mask (M,) is True, renumbered without gaps in their old order."""
         mask = _mask(mask, self.n_landmarks, "landmarks")
         rows = mask[self.landmark]
@@ -227,7 +229,7 @@ class Drive:
                             landmark=(np.cumsum(mask) - 1)[self.landmark[rows]], pixels=self.pixels[rows],
                             n_landmarks=int(mask.sum()), truth_landmarks=truth)
 
-    def keep_observations(self, mask) -> Drive:
+    def keep_observations(self, mask: np.ndarray) -> Drive:
         """Only the observations where mask (N,) is True; landmarks left without any are dropped.
 
         Raises DriveError when that would tear a gap into a track.
@@ -238,7 +240,7 @@ class Drive:
         return part.keep_landmarks(part.first_seen >= 0)
 
 
-def _mask(mask, size, what):
+def _mask(mask: np.ndarray, size: int, what: str) -> np.ndarray:
     mask = np.asarray(mask)
     if mask.dtype != bool or mask.shape != (size,):
         raise ValueError(f"mask: {mask.dtype} of shape {mask.shape}, expected bool ({size},), "
@@ -246,7 +248,7 @@ def _mask(mask, size, what):
     return mask
 
 
-def _sparse(features):
+def _sparse(features: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Frame (N,), landmark (N,) and pixels (N, 4) of all observations, by frame, then by landmark."""
     _, n_landmarks, n_frames = features.shape
     step = max(1, _CHUNK // max(1, n_frames))

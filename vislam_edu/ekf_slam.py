@@ -42,7 +42,7 @@ def predict(belief: Belief, twist: np.ndarray, tau: float, noise: Noise) -> Beli
 
 
 def joint_jacobian(H_landmark: np.ndarray, H_pose: np.ndarray, rows: np.ndarray, n: int) -> np.ndarray:
-    """H (4m, 3n+6): zero but for (m, 4, 3) at each measurement's landmark, rows (m,) of n, and (m, 4, 6) at the pose."""
+    """H (4m, 3n+6): zero but for (m, 4, 3) at each one's landmark, rows (m,) of n, and (m, 4, 6) at the pose."""
     H = np.zeros((len(rows), 4, 3 * n + 6))
     for i, j in enumerate(rows):
         H[i, :, 3 * j:3 * j + 3] = H_landmark[i]

@@ -1,11 +1,16 @@
-"""What an "error" is. A filter on SE(3) cannot subtract; each class here is one way to say true minus estimate.
+"""What an error is. A filter on SE(3) cannot subtract; each class here defines true minus estimate in one way.
 
-`ErrorState` lists what the joint filter in `slam.py`, and those who judge it, ask; the answers are all that differs
-between two filters. Errors are ordered [landmarks 3n, position 3, rotation 3]: landmarks before the pose, as in the
-report.
+`ErrorState` lists what the joint filter in `window_slam`, and those who judge it, need; two filters differ in nothing
+else. Errors are ordered [landmarks 3n, position 3, rotation 3]: landmarks before the pose, as in the report.
+
+>>> import numpy as np
+>>> right, T = RightPerturbation(), np.eye(4)
+>>> moved, _ = right.retract(T, np.empty((0, 3)), np.array([1.0, 0, 0, 0, 0, 0]))
+>>> right.pose_difference(moved, T).round(3).tolist()
+[1.0, 0.0, 0.0, 0.0, 0.0, 0.0]
 """
 
-from typing import Protocol
+from abc import ABC, abstractmethod
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -13,12 +18,14 @@ from scipy.linalg import block_diag
 from . import se3
 
 
-class ErrorState(Protocol):
-    """The questions to a definition of the error. n landmarks, told in the world frame, m; errors in m and rad."""
+class ErrorState(ABC):
+    """Interface that every error state implements. n landmarks, m, world frame; errors in m and rad."""
 
     name: str
 
-    def pose_transition(self, after, increment, body_noise):
+    @abstractmethod
+    def pose_transition(self, after: np.ndarray, increment: np.ndarray,
+                        body_noise: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """How an error of the pose, and of the twist, becomes an error one step later.
 
         after : (4, 4) world_T_imu at the end of the step. increment : (4, 4), exp(tau u^), the step itself.
@@ -26,35 +33,46 @@ class ErrorState(Protocol):
         Returns F (6, 6) and B (6, 6): pose error' = F pose error + B (error of the twist).
         """
 
-    def landmark_transition(self, landmarks, B):
-        """(n, 3, 6): error of the twist to error of each landmark, or None where it moves none."""
+    @abstractmethod
+    def landmark_transition(self, landmarks: np.ndarray, B: np.ndarray) -> np.ndarray:
+        """(n, 3, 6): error of the twist to error of each landmark; zeros where it moves none."""
 
-    def jacobians(self, world_T_imu, landmarks, J):
-        """How an error changes what the cameras see: H of a measurement of each landmark, in two parts.
+    @abstractmethod
+    def jacobians(self, world_T_imu: np.ndarray, landmarks: np.ndarray,
+                  J: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """How an error changes what the cameras measure: H of a measurement of each landmark, in two parts.
 
         J : (n, m, 3), derivative of the m numbers by the point in the IMU frame. landmarks : (n, 3).
         Returns (n, m, 3) for the landmark and (n, m, 6) for the pose.
         """
 
-    def birth(self, world_T_imu, points_imu):
+    @abstractmethod
+    def birth(self, world_T_imu: np.ndarray, points_imu: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """What a new landmark inherits: its error = G (pose error) + A (error of its triangulation in the IMU frame).
 
         points_imu : (n, 3). Returns G (n, 3, 6) and A (3, 3).
         """
 
-    def retract(self, world_T_imu, landmarks, delta):
-        """The state, pose and landmarks, after an error delta (3n+6,) has been estimated."""
+    @abstractmethod
+    def retract(self, world_T_imu: np.ndarray, landmarks: np.ndarray,
+                delta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The state, pose (4, 4) and landmarks (n, 3), after an error delta (3n+6,) has been estimated."""
 
-    def pose_difference(self, true_world_T_imu, world_T_imu):
+    @abstractmethod
+    def pose_difference(self, true_world_T_imu: np.ndarray, world_T_imu: np.ndarray) -> np.ndarray:
         """(..., 6): the error of a pose when the truth is known."""
 
-    def landmark_difference(self, true_world_T_imu, world_T_imu, true_landmarks, landmarks):
+    @abstractmethod
+    def landmark_difference(self, true_world_T_imu: np.ndarray, world_T_imu: np.ndarray, true_landmarks: np.ndarray,
+                            landmarks: np.ndarray) -> np.ndarray:
         """(n, 3): the error of each landmark when the truth is known."""
 
-    def world_landmark(self, landmarks):
-        """(n, 3, 6): C with  m - m_hat = landmark error + C (pose error), metres in the world, or None for C = 0."""
+    @abstractmethod
+    def world_landmark(self, landmarks: np.ndarray) -> np.ndarray:
+        """(n, 3, 6): C with  m - m_hat = landmark error + C (pose error), metres in the world frame."""
 
-    def world_pose(self, world_T_imu):
+    @abstractmethod
+    def world_pose(self, world_T_imu: np.ndarray) -> np.ndarray:
         """(6, 6): pose error to [p - p_hat, rotation vector] in the world frame, to first order."""
 
 
@@ -66,15 +84,17 @@ class RightPerturbation(ErrorState):
 
     name = "right perturbation"
 
-    def pose_transition(self, after, increment, body_noise):
-        """F = exp(-tau u_curly); the body's own noise is B. Source: report section 3.3.1."""
+    def pose_transition(self, after: np.ndarray, increment: np.ndarray,
+                        body_noise: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """F = exp(-tau u_curly); B is the body's own noise. Source: report section 3.3.1."""
         return se3.adjoint(se3.inverse(increment)), body_noise
 
-    def landmark_transition(self, landmarks, B):
-        """A moving car moves no landmark: None."""
-        return None
+    def landmark_transition(self, landmarks: np.ndarray, B: np.ndarray) -> np.ndarray:
+        """Zeros: the motion of the car changes no landmark error."""
+        return np.zeros((len(landmarks), 3, 6))
 
-    def jacobians(self, world_T_imu, landmarks, J):
+    def jacobians(self, world_T_imu: np.ndarray, landmarks: np.ndarray,
+                  J: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """J R^T  and  -J [I, -s^],  s (n, 3) the points in the IMU frame.
 
         Source: report section 3.3.1 (the circled-dot form).
@@ -82,30 +102,32 @@ class RightPerturbation(ErrorState):
         s = se3.transform(se3.inverse(world_T_imu), landmarks)
         return J @ world_T_imu[:3, :3].T, np.concatenate([-J, J @ se3.so3_hat(s)], axis=-1)
 
-    def birth(self, world_T_imu, points_imu):
+    def birth(self, world_T_imu: np.ndarray, points_imu: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """G = R [I, -s^] and A = R,  s (n, 3) the points in the IMU frame."""
         R = world_T_imu[:3, :3]
         n = len(points_imu)
         return np.concatenate([np.broadcast_to(R, (n, 3, 3)), -R @ se3.so3_hat(points_imu)], axis=-1), R
 
-    def retract(self, world_T_imu, landmarks, delta):
+    def retract(self, world_T_imu: np.ndarray, landmarks: np.ndarray,
+                delta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """T exp(epsilon^) and m + delta."""
         n = len(landmarks)
         return world_T_imu @ se3.exp(delta[3 * n:]), landmarks + delta[:3 * n].reshape(n, 3)
 
-    def pose_difference(self, true_world_T_imu, world_T_imu):
+    def pose_difference(self, true_world_T_imu: np.ndarray, world_T_imu: np.ndarray) -> np.ndarray:
         """epsilon with T_true = T exp(epsilon^)."""
         return se3.log(se3.inverse(world_T_imu) @ true_world_T_imu)
 
-    def landmark_difference(self, true_world_T_imu, world_T_imu, true_landmarks, landmarks):
+    def landmark_difference(self, true_world_T_imu: np.ndarray, world_T_imu: np.ndarray, true_landmarks: np.ndarray,
+                            landmarks: np.ndarray) -> np.ndarray:
         """True minus estimated position."""
         return true_landmarks - landmarks
 
-    def world_landmark(self, landmarks):
-        """The landmark error is told in metres in the world already: None."""
-        return None
+    def world_landmark(self, landmarks: np.ndarray) -> np.ndarray:
+        """Zeros: the landmark error is already in world coordinates (metres)."""
+        return np.zeros((len(landmarks), 3, 6))
 
-    def world_pose(self, world_T_imu):
+    def world_pose(self, world_T_imu: np.ndarray) -> np.ndarray:
         """Position and rotation turned from the body into the world: diag(R, R)."""
         R = world_T_imu[:3, :3]
         return block_diag(R, R)
@@ -116,33 +138,36 @@ class RightInvariant(ErrorState):
 
     R = exp(x_R) R_hat,  p = exp(x_R) p_hat + J_l(x_R) x_p,  m = exp(x_R) m_hat + J_l(x_R) x_m
 
-    Position and landmarks turn together, so an error that no sensor can see (a turn or a shift of car and map as one)
-    looks the same at every state: the filter cannot mistake its own changes of mind for information.
+    Position and landmarks turn together, so an error that no sensor can measure (a turn or a shift of car and map
+    as one) has the same coordinates at every estimate: a change of the estimate cannot pass for information.
     Source: Barrau, Bonnabel, An EKF-SLAM algorithm with consistency properties, 2015; Zhang et al., Convergence and
     consistency analysis for a 3-D invariant-EKF SLAM, 2017.
     """
 
     name = "right-invariant"
 
-    def pose_transition(self, after, increment, body_noise):
-        """F = I, whatever the car does; an error of the twist enters through the Adjoint of the pose."""
+    def pose_transition(self, after: np.ndarray, increment: np.ndarray,
+                        body_noise: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """F = I, whatever the car does; an error of the twist enters through the adjoint of the pose."""
         return np.eye(6), se3.adjoint(after) @ body_noise
 
-    def landmark_transition(self, landmarks, B):
-        """m^ B_R. The landmark itself stays, but its error is told relative to the turned world."""
+    def landmark_transition(self, landmarks: np.ndarray, B: np.ndarray) -> np.ndarray:
+        """m^ B_R. The landmark stands still, but its error is expressed relative to the turned world."""
         return se3.so3_hat(landmarks) @ B[3:]
 
-    def jacobians(self, world_T_imu, landmarks, J):
+    def jacobians(self, world_T_imu: np.ndarray, landmarks: np.ndarray,
+                  J: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """J R^T on the landmark and [-J R^T, 0] on the pose: rotation has dropped out."""
         H = J @ world_T_imu[:3, :3].T
         return H, np.concatenate([-H, np.zeros_like(H)], axis=-1)
 
-    def birth(self, world_T_imu, points_imu):
+    def birth(self, world_T_imu: np.ndarray, points_imu: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """G = [I, 0]: a new landmark inherits the position error as it is. A = R."""
         n = len(points_imu)
         return np.broadcast_to(np.eye(3, 6), (n, 3, 6)), world_T_imu[:3, :3]
 
-    def retract(self, world_T_imu, landmarks, delta):
+    def retract(self, world_T_imu: np.ndarray, landmarks: np.ndarray,
+                delta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The exponential of SE_{1+n}(3): one rotation, and its left Jacobian on every translation."""
         n = len(landmarks)
         x_R = delta[3 * n + 3:]
@@ -152,23 +177,24 @@ class RightInvariant(ErrorState):
         points = points @ turn.T + delta[:3 * n + 3].reshape(n + 1, 3) @ J.T
         return se3.pose(turn @ world_T_imu[:3, :3], points[-1]), points[:-1]
 
-    def pose_difference(self, true_world_T_imu, world_T_imu):
+    def pose_difference(self, true_world_T_imu: np.ndarray, world_T_imu: np.ndarray) -> np.ndarray:
         """x with T_true = exp(x^) T."""
         return se3.log(true_world_T_imu @ se3.inverse(world_T_imu))
 
-    def landmark_difference(self, true_world_T_imu, world_T_imu, true_landmarks, landmarks):
+    def landmark_difference(self, true_world_T_imu: np.ndarray, world_T_imu: np.ndarray, true_landmarks: np.ndarray,
+                            landmarks: np.ndarray) -> np.ndarray:
         """x_m, from the definition above."""
         x_R = self.pose_difference(true_world_T_imu, world_T_imu)[3:]
         rest = true_landmarks - landmarks @ se3.so3_exp(x_R).T
         return rest @ se3.so3_left_jacobian_inverse(x_R).T
 
-    def world_landmark(self, landmarks):
+    def world_landmark(self, landmarks: np.ndarray) -> np.ndarray:
         """C = [0, -m^]. To first order m - m_hat = x_m - m^ x_R: what an ellipse on a map needs."""
         hat = se3.so3_hat(landmarks)
         return np.concatenate([np.zeros_like(hat), -hat], axis=-1)
 
-    def world_pose(self, world_T_imu):
-        """p - p_hat = x_p - p^ x_R, the rotation is told in the world frame already."""
+    def world_pose(self, world_T_imu: np.ndarray) -> np.ndarray:
+        """p - p_hat = x_p - p^ x_R; the rotation error is already in world coordinates."""
         C = np.eye(6)
         C[:3, 3:] = -se3.so3_hat(world_T_imu[:3, 3])
         return C

@@ -3,6 +3,7 @@
 Everything broadcasts over leading axes: one call updates one state, or thousands of independent ones.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -10,7 +11,7 @@ import numpy as np
 from scipy.stats import chi2
 
 
-def central_difference(f, n, step=1e-6):
+def central_difference(f: Callable[[np.ndarray], np.ndarray], n: int, step: float = 1e-6) -> np.ndarray:
     """Jacobian of f at 0, numerically: one column per coordinate, (f(+step) - f(-step)) / (2 step).
 
     f : function of a vector (n,), with values (m,). Returns (m, n).
@@ -19,7 +20,7 @@ def central_difference(f, n, step=1e-6):
     return np.stack([(f(step * e) - f(-step * e)) / (2 * step) for e in np.eye(n)], axis=-1)
 
 
-def innovation_covariance(covariance, H, V):
+def innovation_covariance(covariance: np.ndarray, H: np.ndarray, V: np.ndarray) -> np.ndarray:
     """S = H Sigma H^T + V: how far a measurement may fall from its prediction.
 
     covariance : (..., n, n). H : (..., m, n). V : (..., m, m). Returns (..., m, m).
@@ -28,7 +29,7 @@ def innovation_covariance(covariance, H, V):
     return H @ covariance @ np.swapaxes(H, -1, -2) + V
 
 
-def nis(residual, S):
+def nis(residual: np.ndarray, S: np.ndarray) -> np.ndarray:
     """Normalised innovation squared, r^T S^-1 r: chi-square with m degrees of freedom if the filter is honest.
 
     residual : (..., m). S : (..., m, m). Returns (...).
@@ -37,7 +38,7 @@ def nis(residual, S):
     return np.sum(residual * np.linalg.solve(S, residual[..., None])[..., 0], axis=-1)
 
 
-def gate_threshold(probability, dof=4) -> float:
+def gate_threshold(probability: float, dof: int = 4) -> float:
     """The NIS that a correct measurement stays below with this probability; infinite for 1 (no gate).
 
     Raises ValueError when the probability is not in (0, 1].
@@ -47,7 +48,7 @@ def gate_threshold(probability, dof=4) -> float:
     return float(chi2.ppf(probability, dof))
 
 
-def gain(covariance, H, S):
+def gain(covariance: np.ndarray, H: np.ndarray, S: np.ndarray) -> np.ndarray:
     """Kalman gain K = Sigma H^T S^-1, by Cholesky: S is never inverted.
 
     covariance : (..., n, n). H : (..., m, n). S : (..., m, m). Returns (..., n, m).
@@ -58,7 +59,7 @@ def gain(covariance, H, S):
     return np.swapaxes(np.linalg.solve(np.swapaxes(L, -1, -2), whitened), -1, -2)
 
 
-def update(covariance, H, V, residual):
+def update(covariance: np.ndarray, H: np.ndarray, V: np.ndarray, residual: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """One Kalman update; returns the correction of the mean and the new covariance.
 
     covariance : (..., n, n). H : (..., m, n). V : (..., m, m). residual : (..., m), measured minus predicted.
@@ -90,7 +91,7 @@ class Belief:
     covariance: np.ndarray
     motion: np.ndarray = field(default_factory=lambda: np.empty(0))
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         for array in (self.world_T_imu, self.landmarks, self.ids, self.covariance, self.motion):
             array.flags.writeable = False
 

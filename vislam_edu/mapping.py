@@ -1,10 +1,22 @@
-"""Where the landmarks are, when the poses are taken for known: one small EKF per landmark."""
+"""Where the landmarks are, when the poses are assumed known: one small EKF per landmark.
 
+>>> from vislam_edu import Noise, load, mapping
+>>> drive = load("first_steps")
+>>> *_, last = mapping.run(drive, Noise(), drive.true_world_T_imu)
+>>> last.posterior.landmarks.shape
+(42, 3)
+"""
+
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
 from . import kalman
+from .drive import Drive
+from .kalman import Step
+from .noise import Noise
+from .stereo import StereoCamera
 
 
 @dataclass(frozen=True, eq=False)
@@ -19,29 +31,42 @@ class MapBelief:
     seen: np.ndarray
 
 
-def triangulated(camera, noise, world_T_imu, pixels, min_disparity):
-    """New landmarks whose covariance is that of their triangulation; the first measurement is then used up.
+@dataclass(frozen=True, eq=False)
+class NewLandmarks:
+    """Landmarks seen for the first time: landmarks (n, 3), m, world; covariance (n, 3, 3), m^2; ok (n,) bool.
 
-    pixels : (n, 4). Returns landmarks (n, 3), covariances (n, 3, 3), ok (n,) and False: "not to be used again".
+    measured_again : whether the measurement that made them is used in an update of the same frame too.
     """
+
+    landmarks: np.ndarray
+    covariance: np.ndarray
+    ok: np.ndarray
+    measured_again: bool
+
+
+def triangulated(camera: StereoCamera, noise: Noise, world_T_imu: np.ndarray, pixels: np.ndarray,
+                 min_disparity: float) -> NewLandmarks:
+    """New landmarks with the covariance of their triangulation; the measurement is used once. pixels : (n, 4)."""
     points, ok = camera.triangulate(pixels, min_disparity)
     R = world_T_imu[:3, :3] @ camera.imu_T_cam[:3, :3]
     covariance = R @ camera.triangulation_covariance(points, noise.sigma_px) @ R.T
-    return camera.to_world(world_T_imu, points), covariance, ok, False
+    return NewLandmarks(camera.to_world(world_T_imu, points), covariance, ok, measured_again=False)
 
 
-def as_report(camera, noise, world_T_imu, pixels, min_disparity):
+def as_report(camera: StereoCamera, noise: Noise, world_T_imu: np.ndarray, pixels: np.ndarray,
+              min_disparity: float) -> NewLandmarks:
     """New landmarks the report's way: triangulated mean, covariance 2 I, and the same measurement used again.
 
     Source: report section 3.2.2 and 3.3.3.
     """
     points, ok = camera.triangulate(pixels, min_disparity)
     covariance = np.broadcast_to(noise.landmark_prior * np.eye(3), (len(pixels), 3, 3))
-    return camera.to_world(world_T_imu, points), covariance, ok, True
+    return NewLandmarks(camera.to_world(world_T_imu, points), covariance, ok, measured_again=True)
 
 
-def run(drive, noise, world_T_imu, initialise=triangulated, gate=0.99, min_disparity=1.0):
-    """The landmark EKF on poses taken for known (true ones, or dead-reckoned ones as in the report's figures).
+def run(drive: Drive, noise: Noise, world_T_imu: np.ndarray, initialise: Callable[..., NewLandmarks] = triangulated,
+        gate: float = 0.99, min_disparity: float = 1.0) -> Iterator[Step]:
+    """The landmark EKF on poses assumed known (true ones, or dead-reckoned ones as in the report's figures).
 
     world_T_imu : (T, 4, 4). initialise : `triangulated` or `as_report`. gate : probability that a good
     measurement passes. min_disparity : px, below it a landmark waits for a better view.
@@ -65,10 +90,10 @@ def run(drive, noise, world_T_imu, initialise=triangulated, gate=0.99, min_dispa
         m, P, seen = prior.landmarks.copy(), prior.covariance.copy(), prior.seen.copy()
 
         new = ~seen[ids]
-        first_m, first_P, ok, use_again = initialise(camera, noise, T, pixels[new], min_disparity)
-        born = ids[new][ok]
-        m[born], P[born], seen[born] = first_m[ok], first_P[ok], True
-        if use_again:
+        first = initialise(camera, noise, T, pixels[new], min_disparity)
+        born = ids[new][first.ok]
+        m[born], P[born], seen[born] = first.landmarks[first.ok], first.covariance[first.ok], True
+        if first.measured_again:
             prior = MapBelief(m.copy(), P.copy(), seen.copy())
 
         known = prior.seen[ids]

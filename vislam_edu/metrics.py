@@ -8,17 +8,25 @@ Poses are world_T_body (T, 4, 4), true and estimated of the same body (the IMU o
 may differ. Frames whose true pose holds a NaN have no truth and are left out.
 """
 
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.stats import chi2
 
-from . import se3
+from . import kalman, se3, stereo
+from .kalman import Step
+
+if TYPE_CHECKING:
+    from .error_state import ErrorState
 
 KITTI_LENGTHS = (100, 200, 300, 400, 500, 600, 700, 800)  # m
 
 
-def _with_truth(true, estimated):
+def _with_truth(true: np.ndarray, estimated: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The frames of both trajectories that have truth, or a ValueError that says what does not fit."""
     true, estimated = np.asarray(true, dtype=float), np.asarray(estimated, dtype=float)
     for name, poses in [("true", true), ("estimated", estimated)]:
@@ -39,7 +47,7 @@ def _with_truth(true, estimated):
 # --- accuracy -----------------------------------------------------------------------------------------------
 
 
-def align(true, estimated):
+def align(true: np.ndarray, estimated: np.ndarray) -> np.ndarray:
     """The rigid motion that brings the estimated positions closest to the true ones, least squares, no scale.
 
     true, estimated : (T, 4, 4). Returns true_T_estimated (4, 4): compare `true` with `true_T_estimated @
@@ -58,7 +66,7 @@ def align(true, estimated):
     return se3.pose(R, p_mean - R @ q_mean)
 
 
-def position_errors(true, estimated):
+def position_errors(true: np.ndarray, estimated: np.ndarray) -> np.ndarray:
     """(T',) m: distance of each estimated position from the true one, in one common world, no alignment.
 
     true, estimated : (T, 4, 4). T' is the number of frames with truth.
@@ -67,7 +75,7 @@ def position_errors(true, estimated):
     return np.linalg.norm(true[:, :3, 3] - estimated[:, :3, 3], axis=-1)
 
 
-def ate(true, estimated) -> float:
+def ate(true: np.ndarray, estimated: np.ndarray) -> float:
     """Absolute trajectory error: RMS distance, m, between true and estimated positions after `align`.
 
     true, estimated : (T, 4, 4).
@@ -78,7 +86,7 @@ def ate(true, estimated) -> float:
     return _rms(position_errors(true, align(true, estimated) @ estimated))
 
 
-def rpe(true, estimated, step=1):
+def rpe(true: np.ndarray, estimated: np.ndarray, step: float = 1) -> tuple[float, float]:
     """Relative pose error: RMS error of the motion over `step` frames, whatever went wrong before.
 
     E_i = (true_i^-1 true_{i+step})^-1 (estimated_i^-1 estimated_{i+step}), every i for which both ends have
@@ -101,7 +109,8 @@ def rpe(true, estimated, step=1):
     return _rms(np.linalg.norm(E[:, :3, 3], axis=-1)), _rms(_angle(E))
 
 
-def kitti_drift(true, estimated, lengths=KITTI_LENGTHS, every=10):
+def kitti_drift(true: np.ndarray, estimated: np.ndarray, lengths: Sequence[float] = KITTI_LENGTHS,
+                every: int = 10) -> tuple[float, float]:
     """KITTI's drift: error of the motion over pieces of road, relative to their length.
 
     A piece starts at every 10th frame and ends at the first frame that is more than `length` metres further
@@ -129,13 +138,13 @@ def kitti_drift(true, estimated, lengths=KITTI_LENGTHS, every=10):
     return float(100 * translation.mean()), float(np.degrees((_angle(E) / length).mean()))
 
 
-def _motion_error(true, estimated, first, last):
+def _motion_error(true: np.ndarray, estimated: np.ndarray, first: np.ndarray, last: np.ndarray) -> np.ndarray:
     """(n, 4, 4): estimated motion from frames `first` to `last`, as seen from the end of the true one."""
     true_motion = se3.inverse(true[first]) @ true[last]
     return se3.inverse(true_motion) @ se3.inverse(estimated[first]) @ estimated[last]
 
 
-def _angle(T):
+def _angle(T: np.ndarray) -> np.ndarray:
     """(n,) rotation angle, rad."""
     return np.linalg.norm(se3.so3_log(T[:, :3, :3]), axis=-1)
 
@@ -147,7 +156,7 @@ def _rms(values) -> float:
 # --- consistency --------------------------------------------------------------------------------------------
 
 
-def nees(error, covariance):
+def nees(error: np.ndarray, covariance: np.ndarray) -> np.ndarray:
     """Normalised estimation error squared, e^T P^-1 e: chi-square with n degrees of freedom if the filter is
     honest.
 
@@ -170,7 +179,8 @@ class PoseNees:
     position: np.ndarray
 
 
-def pose_nees(error_state, true_world_T_imu, world_T_imu, covariance) -> PoseNees:
+def pose_nees(error_state: ErrorState, true_world_T_imu: np.ndarray, world_T_imu: np.ndarray,
+              covariance: np.ndarray) -> PoseNees:
     """NEES of a pose, the error measured in the coordinates in which the filter's covariance is told.
 
     error_state : `ErrorState`; its `pose_difference` is the error, [position, rotation].
@@ -184,7 +194,20 @@ def pose_nees(error_state, true_world_T_imu, world_T_imu, covariance) -> PoseNee
                     nees(error[..., :3], covariance[..., :3, :3]))
 
 
-def average_nis(steps) -> float:
+def frame_nis(residual: np.ndarray, H: np.ndarray, covariance: np.ndarray, sigma_px: float) -> tuple[float, int]:
+    """NIS of all stereo measurements of a frame together, and its degrees of freedom, three a measurement.
+
+    residual : (m, 4), px. H : (m, 3, d), rows [u_left, v, u_right]. covariance : (d, d) of the prior.
+    Measurements of one frame share the error of the pose, so their single NIS must not be added up. Alone, each has 4
+    degrees of freedom; here the difference of v_left and v_right, which no state can predict, is left out.
+    """
+    V = np.diag(np.tile(sigma_px**2 * stereo.ROW_VARIANCE, len(residual)))
+    rows = H.reshape(3 * len(residual), len(covariance))
+    S = kalman.innovation_covariance(covariance, rows, V)
+    return float(kalman.nis(stereo.reduce_rows(residual).ravel(), S)), 3 * len(residual)
+
+
+def average_nis(steps: Iterable[Step]) -> float:
     """Mean NIS of one stereo measurement over all steps of a filter; 4 if prediction and pixel noise are
     honest.
 
@@ -202,7 +225,7 @@ def average_nis(steps) -> float:
     return float(values.mean()) if values.size else np.nan
 
 
-def chi2_band(dof, runs=1, probability=0.99):
+def chi2_band(dof: int, runs: int = 1, probability: float = 0.99) -> tuple[float, float]:
     """(low, high): where the mean of `runs` independent chi-square numbers lies with this probability.
 
     dof : degrees of freedom of one number: 6 for the NEES of a pose, 3 for its rotation or position, 4 for

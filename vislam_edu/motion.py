@@ -1,20 +1,30 @@
-"""The joint belief over map and pose, and how it moves from one frame to the next."""
+"""How the joint belief over map and pose moves from one frame to the next.
 
+>>> from vislam_edu import Noise, RightPerturbation, load, motion
+>>> model = motion.ImuDriven(load("first_steps"), Noise(), RightPerturbation())
+>>> model.predict(model.start(), 0).pose_covariance.shape
+(6, 6)
+"""
+
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 
 import numpy as np
 
 from . import se3
+from .drive import Drive
+from .error_state import ErrorState
 from .kalman import Belief
+from .noise import Noise
 
 
-def start(noise, world_T_imu=None) -> Belief:
+def start(noise: Noise, world_T_imu: np.ndarray | None = None) -> Belief:
     """The joint belief at frame 0: no landmark, and the world frame is the IMU frame unless a pose is given."""
     T = np.eye(4) if world_T_imu is None else np.array(world_T_imu, dtype=float)
     return Belief(T, np.empty((0, 3)), np.empty(0, dtype=int), np.array(noise.initial_pose_covariance))
 
 
-def retract(belief, delta, covariance, error_state) -> Belief:
+def retract(belief: Belief, delta: np.ndarray, covariance: np.ndarray, error_state: ErrorState) -> Belief:
     """The belief moved by an estimated error delta (3n+6+t,), with its new covariance."""
     end = belief.pose.stop
     T, landmarks = error_state.retract(belief.world_T_imu, belief.landmarks, delta[:end])
@@ -28,25 +38,25 @@ class Transition:
     Landmarks stand still, so of F only the columns of the tail differ from the identity.
 
     world_T_imu : (4, 4) pose afterwards. motion : (t,) afterwards.
-    F_tail : (6+t, 6+t). F_landmarks : (n, 3, 6+t), or None for zero.
-    N_tail : (6+t, q). N_landmarks : (n, 3, q), or None for zero. Q : (q, q), covariance of the noise.
+    F_tail : (6+t, 6+t). F_landmarks : (n, 3, 6+t), zeros where nothing moves a landmark's error.
+    N_tail : (6+t, q). N_landmarks : (n, 3, q). Q : (q, q), covariance of the noise.
     """
 
     world_T_imu: np.ndarray
     motion: np.ndarray
     F_tail: np.ndarray
-    F_landmarks: np.ndarray | None
+    F_landmarks: np.ndarray
     N_tail: np.ndarray
-    N_landmarks: np.ndarray | None
+    N_landmarks: np.ndarray
     Q: np.ndarray
 
 
-def symmetric(matrix):
+def symmetric(matrix: np.ndarray) -> np.ndarray:
     """(M + M^T) / 2: takes away what rounding has added to a matrix that is symmetric on paper."""
     return (matrix + matrix.T) / 2
 
 
-def propagate(belief, transition) -> Belief:
+def propagate(belief: Belief, transition: Transition) -> Belief:
     """The belief after a transition: P' = F P F^T + N Q N^T.
 
     For the report's error this is Sigma_LL, Sigma_LR F^T and F Sigma_RR F^T + W: the landmarks' own block stays,
@@ -56,7 +66,7 @@ def propagate(belief, transition) -> Belief:
     n = 3 * len(belief.landmarks)
     P = belief.covariance.copy()
     cross, tail = P[:n, n:], P[n:, n:].copy()
-    if transition.F_landmarks is not None:
+    if transition.F_landmarks.any():
         G = transition.F_landmarks.reshape(n, len(tail))
         X = (cross + G @ tail / 2) @ G.T
         P[:n, :n] += X + X.T
@@ -65,22 +75,37 @@ def propagate(belief, transition) -> Belief:
     P[n:, :n] = P[:n, n:].T
     P[n:, n:] = symmetric(transition.F_tail @ tail @ transition.F_tail.T)
     N = transition.N_tail
-    if transition.N_landmarks is None:
-        P[n:, n:] += symmetric(N @ transition.Q @ N.T)
-    else:
+    if transition.N_landmarks.any():
         N = np.concatenate([transition.N_landmarks.reshape(n, len(transition.Q)), N])
         P += symmetric(N @ transition.Q @ N.T)
+    else:
+        P[n:, n:] += symmetric(N @ transition.Q @ N.T)
     return Belief(transition.world_T_imu, belief.landmarks, belief.ids, P, transition.motion)
 
 
-class ImuDriven:
+class MotionModel(ABC):
+    """Interface of what moves the car; made of a Drive, a Noise and an `ErrorState`."""
+
+    @abstractmethod
+    def __init__(self, drive: Drive, noise: Noise, error_state: ErrorState) -> None: ...
+
+    @abstractmethod
+    def start(self, world_T_imu: np.ndarray | None = None) -> Belief:
+        """The belief at frame 0, at the pose (4, 4) given or at the identity."""
+
+    @abstractmethod
+    def predict(self, belief: Belief, k: int) -> Belief:
+        """The belief at frame k + 1 before the camera update, from the one at frame k."""
+
+
+class ImuDriven(MotionModel):
     """The report's motion model: the IMU is the input, its white noise the only thing that moves the error.
 
     drive : Drive. noise : Noise. error_state : `ErrorState`.
     Source: report section 3.3.1.
     """
 
-    def __init__(self, drive, noise, error_state):
+    def __init__(self, drive: Drive, noise: Noise, error_state: ErrorState) -> None:
         taus = drive.taus[:, None]
         self.error_state = error_state
         self.increments = se3.exp(taus * drive.step_twists)
@@ -88,23 +113,24 @@ class ImuDriven:
         self.Q = noise.twist_covariance
         self.noise = noise
 
-    def start(self, world_T_imu=None) -> Belief:
+    def start(self, world_T_imu: np.ndarray | None = None) -> Belief:
         """The belief at frame 0: the pose alone."""
         return start(self.noise, world_T_imu)
 
-    def transition(self, belief, k) -> Transition:
+    def transition(self, belief: Belief, k: int) -> Transition:
         """From frame k to frame k + 1."""
         after = belief.world_T_imu @ self.increments[k]
         F, B = self.error_state.pose_transition(after, self.increments[k], self.body_noise[k])
-        return Transition(after, belief.motion, F, None, B,
+        n = len(belief.landmarks)
+        return Transition(after, belief.motion, F, np.zeros((n, 3, 6)), B,
                           self.error_state.landmark_transition(belief.landmarks, B), self.Q)
 
-    def predict(self, belief, k) -> Belief:
-        """The belief at frame k + 1 before the cameras have spoken."""
+    def predict(self, belief: Belief, k: int) -> Belief:
+        """The belief at frame k + 1 before the camera update."""
         return propagate(belief, self.transition(belief, k))
 
 
-class TwistAndBias:
+class TwistAndBias(MotionModel):
     """A motion model fit for a noisy IMU: the car's twist and the gyro's bias are estimated, the IMU measures them.
 
     A car cannot change its speed by 0.5 m/s from one frame to the next, but one sample of its IMU can be that wrong. So
@@ -118,20 +144,21 @@ class TwistAndBias:
 
     start_sigma = np.array([30.0] * 3 + [1.0] * 3 + [0.02] * 3)  # m/s, rad/s, rad/s: a car, before any measurement
 
-    def __init__(self, drive, noise, error_state, walk_v=0.2, walk_omega=0.03, walk_bias=1e-5):
+    def __init__(self, drive: Drive, noise: Noise, error_state: ErrorState, walk_v: float = 0.2,
+                 walk_omega: float = 0.03, walk_bias: float = 1e-5) -> None:
         self.error_state, self.noise = error_state, noise
         self.taus, self.samples = drive.taus, drive.step_twists
         self.walk = np.diag(np.square([walk_v] * 3 + [walk_omega] * 3 + [walk_bias] * 3))
         self.H = np.hstack([np.eye(6), np.eye(6, 3, -3)])  # one IMU sample = twist + [0, bias]
 
-    def start(self, world_T_imu=None) -> Belief:
+    def start(self, world_T_imu: np.ndarray | None = None) -> Belief:
         """The belief at frame 0: the pose, and a twist of which nothing is known yet."""
         pose = start(self.noise, world_T_imu)
         P = np.zeros((15, 15))
         P[:6, :6], P[6:, 6:] = pose.covariance, np.diag(self.start_sigma**2)
         return Belief(pose.world_T_imu, pose.landmarks, pose.ids, P, np.zeros(9))
 
-    def measure_imu(self, belief, k) -> Belief:
+    def measure_imu(self, belief: Belief, k: int) -> Belief:
         """The belief after the twist has walked one frame and the IMU sample of step k -> k + 1 has been read."""
         P = belief.covariance.copy()
         P[-9:, -9:] += self.walk
@@ -140,7 +167,7 @@ class TwistAndBias:
         Y = np.linalg.solve(np.linalg.cholesky(S), np.column_stack([HP, self.samples[k] - self.H @ belief.motion]))
         return retract(belief, Y[:, :-1].T @ Y[:, -1], P - Y[:, :-1].T @ Y[:, :-1], self.error_state)
 
-    def transition(self, belief, k) -> Transition:
+    def transition(self, belief: Belief, k: int) -> Transition:
         """From frame k to frame k + 1 along the estimated twist."""
         tau, twist = self.taus[k], belief.motion[:6]
         increment = se3.exp(tau * twist)
@@ -148,12 +175,11 @@ class TwistAndBias:
         F, B = self.error_state.pose_transition(after, increment, tau * se3.right_jacobian(tau * twist))
         F_tail = np.eye(15)
         F_tail[:6, :6], F_tail[:6, 6:12] = F, B
-        moved = self.error_state.landmark_transition(belief.landmarks, B)
-        if moved is not None:
-            moved = np.pad(moved, ((0, 0), (0, 0), (6, 3)))
-        return Transition(after, belief.motion, F_tail, moved, np.zeros((15, 0)), None, np.zeros((0, 0)))
+        moved = np.pad(self.error_state.landmark_transition(belief.landmarks, B), ((0, 0), (0, 0), (6, 3)))
+        return Transition(after, belief.motion, F_tail, moved, np.zeros((15, 0)), np.zeros((len(moved), 3, 0)),
+                          np.zeros((0, 0)))
 
-    def predict(self, belief, k) -> Belief:
-        """The belief at frame k + 1 before the cameras have spoken."""
+    def predict(self, belief: Belief, k: int) -> Belief:
+        """The belief at frame k + 1 before the camera update."""
         measured = self.measure_imu(belief, k)
         return propagate(measured, self.transition(measured, k))

@@ -32,7 +32,7 @@ class Noise:
     initial_pose_covariance: np.ndarray = field(default_factory=_initial_pose_covariance)
     landmark_prior: float = 2.0
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         for name in ("sigma_v", "sigma_omega", "sigma_px", "landmark_prior"):
             value = getattr(self, name)
             if not np.isfinite(value) or value < 0:
@@ -48,7 +48,7 @@ class Noise:
         object.__setattr__(self, "initial_pose_covariance", P)
 
     @classmethod
-    def from_report(cls, tau=0.1) -> "Noise":
+    def from_report(cls, tau: float = 0.1) -> "Noise":
         """The values of the report's section 3.3.3, its W read as diag(1e-4 x3, 1e-7 x3).
 
         The report's W is per step and does not scale with the time step; here it is turned into noise per
@@ -62,7 +62,7 @@ class Noise:
         """(6, 6), (m/s)^2 and (rad/s)^2: covariance of one IMU sample."""
         return np.diag([self.sigma_v**2] * 3 + [self.sigma_omega**2] * 3)
 
-    def process_covariance(self, tau) -> np.ndarray:
+    def process_covariance(self, tau: float) -> np.ndarray:
         """W (6, 6) of one step of `tau` seconds: white noise per sample moves the pose by tau times itself."""
         return tau**2 * self.twist_covariance
 

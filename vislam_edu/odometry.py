@@ -1,10 +1,15 @@
 """Where the car is, from the IMU alone and against a map that is known: the Gaussian on SE(3) at work."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
 from . import kalman, se3
+from .drive import Drive
+from .kalman import Innovation, Step
+from .noise import Noise
+from .stereo import StereoCamera
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,7 +36,7 @@ class Trajectory:
     covariance: np.ndarray
 
 
-def predict(belief, twist, tau, noise) -> PoseBelief:
+def predict(belief: PoseBelief, twist: np.ndarray, tau: float, noise: Noise) -> PoseBelief:
     """EKF prediction: the pose moves along its twist, the covariance is carried along and grows.
 
     belief : PoseBelief. twist : (6,) [v, omega], m/s and rad/s. tau : s. noise : Noise.
@@ -50,13 +55,13 @@ def predict(belief, twist, tau, noise) -> PoseBelief:
     return PoseBelief(belief.world_T_imu @ step, P)
 
 
-def start(noise, world_T_imu=None) -> PoseBelief:
+def start(noise: Noise, world_T_imu: np.ndarray | None = None) -> PoseBelief:
     """The belief at frame 0: the world frame is the IMU frame there, unless a pose (4, 4) is given."""
     return PoseBelief(np.eye(4) if world_T_imu is None else np.asarray(world_T_imu, float),
                       noise.initial_pose_covariance)
 
 
-def dead_reckon(drive, noise, world_T_imu=None) -> Trajectory:
+def dead_reckon(drive: Drive, noise: Noise, world_T_imu: np.ndarray | None = None) -> Trajectory:
     """The IMU integrated with nothing to correct it, and how little it then knows.
 
     drive : Drive. noise : Noise. world_T_imu : (4, 4) pose at frame 0, the identity by default.
@@ -70,7 +75,8 @@ def dead_reckon(drive, noise, world_T_imu=None) -> Trajectory:
                       np.array([b.world_T_imu for b in beliefs]), np.array([b.covariance for b in beliefs]))
 
 
-def observe(prior, camera, noise, ids, pixels, landmarks, threshold):
+def observe(prior: PoseBelief, camera: StereoCamera, noise: Noise, ids: np.ndarray, pixels: np.ndarray,
+            landmarks: np.ndarray, threshold: float) -> tuple[PoseBelief, Innovation]:
     """EKF update of the pose against landmarks whose positions are known.
 
     prior : PoseBelief. ids : (n,). pixels : (n, 4). landmarks : (n, 3), m, world.
@@ -93,7 +99,8 @@ def observe(prior, camera, noise, ids, pixels, landmarks, threshold):
     return PoseBelief(prior.world_T_imu @ se3.exp(delta), P), innovation
 
 
-def localize(drive, noise, landmarks, gate=0.99, world_T_imu=None):
+def localize(drive: Drive, noise: Noise, landmarks: np.ndarray, gate: float = 0.99,
+             world_T_imu: np.ndarray | None = None) -> Iterator[Step]:
     """Visual-inertial odometry on a known map: predict with the IMU, correct with the cameras.
 
     landmarks : (M, 3), m, world; row i is landmark i of the drive. gate : probability that a good measurement

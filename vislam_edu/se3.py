@@ -15,6 +15,7 @@ operators).
 from math import factorial
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 # --------------------------------------------------------------------------------------------------
 # Functions of the rotation angle
@@ -30,7 +31,7 @@ _SERIES = np.array(  # power series in t^2, one row per order and one column per
 )
 
 
-def _angle_functions(phi):
+def _angle_functions(phi: np.ndarray) -> tuple[np.ndarray, ...]:
     """The five functions of the angle t = |phi| that every closed form below is made of, and t squared.
 
     a = sin t / t,  b = (1 - cos t) / t^2,  c = (t - sin t) / t^3,
@@ -54,7 +55,7 @@ def _angle_functions(phi):
     return a, b, c, d, e, t2[..., None, None]
 
 
-def checked(value, shape, name):
+def checked(value: ArrayLike, shape: tuple[int, ...], name: str) -> np.ndarray:
     """`value` as an array of floats with last axes `shape`, or a ValueError that names the shape it got."""
     value = np.asarray(value, dtype=float)
     if value.shape[-len(shape):] != shape:
@@ -67,7 +68,7 @@ def checked(value, shape, name):
 # SO(3)
 # --------------------------------------------------------------------------------------------------
 
-def so3_hat(omega):
+def so3_hat(omega: np.ndarray) -> np.ndarray:
     """Skew-symmetric matrix: `so3_hat(a) @ b == cross(a, b)`. omega (..., 3); returns (..., 3, 3)."""
     omega = checked(omega, (3,), "omega")
     x, y, z = omega[..., 0], omega[..., 1], omega[..., 2]
@@ -78,13 +79,13 @@ def so3_hat(omega):
     return matrix
 
 
-def so3_vee(matrix):
+def so3_vee(matrix: np.ndarray) -> np.ndarray:
     """Inverse of `so3_hat`: the vector of a skew-symmetric matrix (..., 3, 3); returns (..., 3)."""
     matrix = checked(matrix, (3, 3), "matrix")
     return np.stack([matrix[..., 2, 1], matrix[..., 0, 2], matrix[..., 1, 0]], axis=-1)
 
 
-def so3_exp(phi):
+def so3_exp(phi: np.ndarray) -> np.ndarray:
     """Rotation matrix of a rotation vector: Rodrigues' formula. phi (..., 3), rad; returns (..., 3, 3)."""
     phi = checked(phi, (3,), "phi")
     a, b, *_ = _angle_functions(phi)
@@ -92,7 +93,7 @@ def so3_exp(phi):
     return np.eye(3) + a * S + b * (S @ S)
 
 
-def so3_log(R):
+def so3_log(R: np.ndarray) -> np.ndarray:
     """Rotation vector of a rotation matrix, angle in [0, pi]. R (..., 3, 3); returns (..., 3), rad.
 
     Goes through the unit quaternion q = [w, x, y, z]: the trace and the skew part alone lose half of the
@@ -118,7 +119,7 @@ def so3_log(R):
     return xyz * np.where(turned, 2.0 * np.arctan2(sine, w) / np.where(turned, sine, 1.0), 2.0)
 
 
-def so3_left_jacobian(phi):
+def so3_left_jacobian(phi: np.ndarray) -> np.ndarray:
     """Left Jacobian: `so3_exp(phi + d) ~ so3_exp(so3_left_jacobian(phi) @ d) @ so3_exp(phi)` for small d.
 
     phi (..., 3), rad; returns (..., 3, 3). Source: Barfoot, section 7.1.5.
@@ -129,7 +130,7 @@ def so3_left_jacobian(phi):
     return np.eye(3) + b * S + c * (S @ S)
 
 
-def so3_left_jacobian_inverse(phi):
+def so3_left_jacobian_inverse(phi: np.ndarray) -> np.ndarray:
     """Inverse of `so3_left_jacobian`. phi (..., 3), rad; returns (..., 3, 3).
 
     The inverse does not exist at angles of 2 pi, 4 pi, ... (never met by what `so3_log` returns).
@@ -140,7 +141,7 @@ def so3_left_jacobian_inverse(phi):
     return np.eye(3) - 0.5 * S + (d / b) * (S @ S)
 
 
-def so3_right_jacobian(phi):
+def so3_right_jacobian(phi: np.ndarray) -> np.ndarray:
     """Right Jacobian: `so3_exp(phi + d) ~ so3_exp(phi) @ so3_exp(so3_right_jacobian(phi) @ d)` for small d.
 
     phi (..., 3), rad; returns (..., 3, 3).
@@ -148,7 +149,7 @@ def so3_right_jacobian(phi):
     return so3_left_jacobian(-checked(phi, (3,), "phi"))
 
 
-def so3_right_jacobian_inverse(phi):
+def so3_right_jacobian_inverse(phi: np.ndarray) -> np.ndarray:
     """Inverse of `so3_right_jacobian`. phi (..., 3), rad; returns (..., 3, 3)."""
     return so3_left_jacobian_inverse(-checked(phi, (3,), "phi"))
 
@@ -157,7 +158,7 @@ def so3_right_jacobian_inverse(phi):
 # SE(3)
 # --------------------------------------------------------------------------------------------------
 
-def pose(R, p):
+def pose(R: ArrayLike, p: ArrayLike) -> np.ndarray:
     """The pose `[[R, p], [0, 1]]`. R (..., 3, 3), p (..., 3), m, which broadcast; returns (..., 4, 4)."""
     R, p = checked(R, (3, 3), "R"), checked(p, (3,), "p")
     T = np.zeros(np.broadcast_shapes(R.shape[:-2], p.shape[:-1]) + (4, 4))
@@ -167,14 +168,14 @@ def pose(R, p):
     return T
 
 
-def inverse(T):
+def inverse(T: np.ndarray) -> np.ndarray:
     """Inverse pose `[[R^T, -R^T p], [0, 1]]`: `inverse(a_T_b) == b_T_a`. T and the result (..., 4, 4)."""
     T = checked(T, (4, 4), "T")
     Rt = np.swapaxes(T[..., :3, :3], -1, -2)
     return pose(Rt, -np.matvec(Rt, T[..., :3, 3]))
 
 
-def transform(T, points):
+def transform(T: np.ndarray, points: np.ndarray) -> np.ndarray:
     """Points in another frame: `transform(a_T_b, points_b) == points_a`.
 
     T (..., 4, 4) and points (..., 3), m; their leading axes broadcast. Returns (..., 3), m.
@@ -183,7 +184,7 @@ def transform(T, points):
     return np.matvec(T[..., :3, :3], points) + T[..., :3, 3]
 
 
-def hat(xi):
+def hat(xi: np.ndarray) -> np.ndarray:
     """Twist as a matrix of the Lie algebra: `[[omega^, v], [0, 0]]`. xi (..., 6); returns (..., 4, 4)."""
     xi = checked(xi, (6,), "xi")
     matrix = np.zeros(xi.shape[:-1] + (4, 4))
@@ -192,13 +193,13 @@ def hat(xi):
     return matrix
 
 
-def vee(matrix):
+def vee(matrix: np.ndarray) -> np.ndarray:
     """Inverse of `hat`. matrix (..., 4, 4); returns the twist (..., 6), `[v, omega]`."""
     matrix = checked(matrix, (4, 4), "matrix")
     return np.concatenate([matrix[..., :3, 3], so3_vee(matrix[..., :3, :3])], axis=-1)
 
 
-def curly_hat(xi):
+def curly_hat(xi: np.ndarray) -> np.ndarray:
     """Adjoint of the Lie algebra: `curly_hat(a) @ b == vee(hat(a) @ hat(b) - hat(b) @ hat(a))`.
 
     `[[omega^, v^], [0, omega^]]`. xi (..., 6); returns (..., 6, 6). Source: report section 3.3.1.
@@ -210,7 +211,7 @@ def curly_hat(xi):
     return matrix
 
 
-def exp(xi):
+def exp(xi: np.ndarray) -> np.ndarray:
     """Pose reached by following the constant twist xi for one unit of time.
 
     xi (..., 6), `[v, omega]` times that time: m and rad. Returns (..., 4, 4).
@@ -223,14 +224,14 @@ def exp(xi):
     return np.eye(4) + X + b * XX + c * (XX @ X)
 
 
-def log(T):
+def log(T: np.ndarray) -> np.ndarray:
     """Twist whose `exp` is T, rotation angle in [0, pi]. T (..., 4, 4); returns (..., 6), m and rad."""
     T = checked(T, (4, 4), "T")
     phi = so3_log(T[..., :3, :3])
     return np.concatenate([np.matvec(so3_left_jacobian_inverse(phi), T[..., :3, 3]), phi], axis=-1)
 
 
-def adjoint(T):
+def adjoint(T: np.ndarray) -> np.ndarray:
     """Carries a twist into another frame: `T @ exp(xi) == exp(adjoint(T) @ xi) @ T`.
 
     `[[R, p^ R], [0, R]]`. T (..., 4, 4); returns (..., 6, 6).
@@ -243,7 +244,7 @@ def adjoint(T):
     return matrix
 
 
-def odot(point):
+def odot(point: np.ndarray) -> np.ndarray:
     """Circled-dot operator: `hat(xi) @ [point, 1] == odot(point) @ xi` for every twist.
 
     It turns "how does a point move when its frame is perturbed" into a matrix, which is what the pose
@@ -260,7 +261,7 @@ def odot(point):
     return matrix
 
 
-def left_jacobian(xi):
+def left_jacobian(xi: np.ndarray) -> np.ndarray:
     """Left Jacobian: `exp(xi + d) ~ exp(left_jacobian(xi) @ d) @ exp(xi)` for small d.
 
     xi (..., 6); returns (..., 6, 6). At zero rotation it is `[[I, v^/2], [0, I]]`, not I.
@@ -275,7 +276,7 @@ def left_jacobian(xi):
     return one + b * X + c * XX + (d * X + e * XX) @ (XX + t2 * one)
 
 
-def left_jacobian_inverse(xi):
+def left_jacobian_inverse(xi: np.ndarray) -> np.ndarray:
     """Inverse of `left_jacobian`: `log(exp(d) @ exp(xi)) ~ xi + left_jacobian_inverse(xi) @ d` for small d.
 
     xi (..., 6); returns (..., 6, 6). Does not exist at rotation angles of 2 pi, 4 pi, ...
@@ -289,7 +290,7 @@ def left_jacobian_inverse(xi):
     return matrix
 
 
-def right_jacobian(xi):
+def right_jacobian(xi: np.ndarray) -> np.ndarray:
     """Right Jacobian: `exp(xi + d) ~ exp(xi) @ exp(right_jacobian(xi) @ d)` for small d.
 
     xi (..., 6); returns (..., 6, 6).
@@ -297,7 +298,7 @@ def right_jacobian(xi):
     return left_jacobian(-checked(xi, (6,), "xi"))
 
 
-def right_jacobian_inverse(xi):
+def right_jacobian_inverse(xi: np.ndarray) -> np.ndarray:
     """Inverse of `right_jacobian`: `log(exp(xi) @ exp(d)) ~ xi + right_jacobian_inverse(xi) @ d` for small d.
 
     xi (..., 6); returns (..., 6, 6).

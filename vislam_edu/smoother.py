@@ -1,79 +1,86 @@
-"""What the rest of the drive still says about the landmarks that were passed long ago.
+"""Fixed-point smoothing of retired landmarks: the estimates that a filter without a window has at the end of the drive.
 
-The window drops a landmark when it is out of sight; the filter that never drops anything goes on correcting it through
-its correlation with the pose. Both agree on the pose. This pass gives the landmarks back, without the big covariance:
-it walks the drive backwards and carries, instead of a state, the adjoint of the state,
+The window drops a landmark when it is out of sight; the filter that drops nothing goes on correcting it through its
+correlation with the pose. Both agree on the pose. This pass gives the landmarks back without the big covariance: it
+walks the drive backwards and carries, instead of a state, the adjoint of the state,
 
     lambda (d,)  and  Lambda (d, d),   so that   x_N = x + P lambda   and   P_N = P - P Lambda P
 
-tell what the filter would say at the end (N) about any x that it believed with covariance P here. Both start as zero.
-Each thing that the filter did on the way forward is undone by its transpose:
+are the estimate at the end (N) of any x that was estimated with covariance P here. Both start as zero. Each operation
+of the forward pass is undone by its transpose:
 
     update        lambda <- lambda + H^T w,   w = S^-1 r - K^T lambda
                   Lambda <- (I - K H)^T Lambda (I - K H) + H^T S^-1 H
     birth         lambda <- A^T lambda        Lambda <- A^T Lambda A,   A = [I; G]
-    retirement    a row of zeros: the future does not look at what is gone
+    retirement    a row of zeros: no later measurement depends on it
     prediction    lambda <- F^T lambda        Lambda <- F^T Lambda F
 
 A landmark stands still, so at its retirement x_N is its final estimate: a fixed-point smoother.
 Source: Bierman, Fixed interval smoothing with discrete measurements, 1973 (the modified Bryson-Frazier form).
+
+>>> from vislam_edu import Noise, load, smoother
+>>> smoother.final_map(load("first_steps"), Noise()).seen.sum()
+np.int64(42)
 """
 
+from collections.abc import Callable, Iterable, Iterator
 from functools import partial
-from itertools import islice, pairwise
+from itertools import islice
 from math import isqrt
+from typing import Any
 
 import numpy as np
 from scipy.linalg import cholesky, solve_triangular
+from threadpoolctl import threadpool_limits
 
-from . import motion, se3, window_slam
-from .error_state import RightPerturbation
+from . import blockwise, motion, se3, stereo, window_slam
+from .drive import Drive
+from .error_state import ErrorState, RightPerturbation
+from .kalman import Belief, Step
 from .mapping import MapBelief
+from .motion import Transition
+from .noise import Noise
+from .window_slam import UpdateSettings
 
 
-def _indices(rows):
+def _indices(rows: np.ndarray) -> np.ndarray:
     """Rows of the state of the landmarks at `rows` of the window."""
     return (3 * rows[:, None] + np.arange(3)).ravel()
 
 
-def _times_HT(X, rows, H_l, H_p, d):
-    """H^T X for X (3m, c), without writing H. Returns (d, c)."""
-    out = np.zeros((d, X.shape[1]))
-    out[_indices(rows)] = np.einsum("iab,iac->ibc", H_l, X.reshape(len(rows), 3, -1)).reshape(3 * len(rows), -1)
-    n = d - H_p.shape[-1]
-    out[n:] = H_p.reshape(3 * len(rows), -1).T @ X
-    return out
-
-
-def _undo_update(lam, Lam, step, settings):
+def _undo_update(lam: np.ndarray, Lam: np.ndarray, step: Step,
+                 settings: UpdateSettings) -> tuple[np.ndarray, np.ndarray]:
     """Back through the update of one frame. lam (d, 1), Lam (d, d), over the landmarks of the prior."""
-    prior, ids = step.prior, step.innovation.ids[step.innovation.accepted]
+    prior, accepted = step.prior, step.innovation.accepted
+    ids = step.innovation.ids[accepted]
     if len(ids) == 0:
         return lam, Lam
-    rows, n, d = np.searchsorted(prior.ids, ids), len(prior.ids), len(lam)
-    _, _, H_l, H_p = window_slam.linearise(prior, rows, settings)
-    HP = window_slam.times_H(prior.covariance, rows, H_l, H_p, n)
-    S = window_slam.times_H(np.ascontiguousarray(HP.T), rows, H_l, H_p, n)
-    S[np.diag_indices(len(S))] += np.tile(settings.noise.sigma_px**2 * window_slam.ROW_VARIANCE, len(ids))
+    at_prior = window_slam.linearise(prior, ids, step.innovation.measured[accepted], settings)[0]
+    H = at_prior.rows, at_prior.H_landmark, at_prior.H_pose, len(prior.ids)
+    HP = blockwise.times_H(prior.covariance, *H)
+    S = blockwise.times_H(np.ascontiguousarray(HP.T), *H)
+    S[np.diag_indices(len(S))] += np.tile(settings.noise.sigma_px**2 * stereo.ROW_VARIANCE, len(ids))
     L = cholesky(S, lower=True, check_finite=False)
-    residual = window_slam.reduce_rows(step.innovation.residual[step.innovation.accepted]).reshape(-1, 1)
 
-    def solve(b, trans="N"):
+    def solve(b: np.ndarray, trans: str = "N") -> np.ndarray:
         return solve_triangular(L, b, lower=True, trans=trans, check_finite=False)
 
+    def times_HT(X: np.ndarray) -> np.ndarray:
+        return blockwise.times_HT(X, *H, len(lam))
+
     Y = solve(HP)  # K = Y^T L^-1
-    w = solve(solve(residual) - Y @ lam, "T")
+    w = solve(solve(at_prior.residual.reshape(-1, 1)) - Y @ lam, "T")
     Z = Y @ Lam
     M = solve(Z, "T")  # K^T Lambda
     inner = solve(solve(Z @ Y.T + np.eye(len(L)), "T").T, "T")  # K^T Lambda K + S^-1, symmetric
     # (I - K H)^T Lambda (I - K H) + H^T S^-1 H, H on one side at a time
-    X = _times_HT(inner, rows, H_l, H_p, d)
-    HtM = _times_HT(M, rows, H_l, H_p, d)
-    Lam = Lam - HtM - HtM.T + _times_HT(X.T, rows, H_l, H_p, d)
-    return lam + _times_HT(w, rows, H_l, H_p, d), motion.symmetric(Lam)
+    HtM = times_HT(M)
+    Lam = Lam - HtM - HtM.T + times_HT(times_HT(inner).T)
+    return lam + times_HT(w), motion.symmetric(Lam)
 
 
-def _undo_birth(lam, Lam, step, settings):
+def _undo_birth(lam: np.ndarray, Lam: np.ndarray, step: Step, settings: UpdateSettings) -> tuple[np.ndarray,
+                                                                                                 np.ndarray]:
     """Back to before the landmarks that `window_slam.add_correlated` added: A = [I; G], G on the pose alone."""
     belief = step.posterior
     is_new = ~window_slam.contains(step.prior.ids, belief.ids)
@@ -90,7 +97,7 @@ def _undo_birth(lam, Lam, step, settings):
             motion.symmetric(Lam[np.ix_(old, old)] + cross + cross.T + A.T @ Lam[np.ix_(new, new)] @ A))
 
 
-def _undo_prediction(lam, Lam, n, transition):
+def _undo_prediction(lam: np.ndarray, Lam: np.ndarray, n: int, transition: Transition) -> tuple[np.ndarray, np.ndarray]:
     """F^T lambda and F^T Lambda F; of F only the columns of the pose differ from the identity."""
     F = transition.F_tail
     lam, Lam = lam.copy(), Lam.copy()
@@ -100,7 +107,8 @@ def _undo_prediction(lam, Lam, n, transition):
     return lam, Lam
 
 
-def _undo_window(final, before, prior, lam, Lam, error_state):
+def _undo_window(final: MapBelief, before: Belief, prior: Belief, lam: np.ndarray, Lam: np.ndarray,
+                 error_state: ErrorState) -> tuple[np.ndarray, np.ndarray]:
     """From the landmarks of the prior back to those of the belief before it, where those that retired still were.
 
     A landmark that the prior has and the belief before has not (born before the update, the report's way) had no past:
@@ -120,7 +128,8 @@ def _undo_window(final, before, prior, lam, Lam, error_state):
     return lam_wide, Lam_wide
 
 
-def _settle(final, before, keep, lam, Lam, error_state):
+def _settle(final: MapBelief, before: Belief, keep: np.ndarray, lam: np.ndarray, Lam: np.ndarray,
+            error_state: ErrorState) -> None:
     """Write down the final estimates of the landmarks of a belief that leave it, keep (n,) False.
 
     lam, Lam : over what stays.
@@ -131,7 +140,7 @@ def _settle(final, before, keep, lam, Lam, error_state):
     to_all = P[_indices(rows)]  # (3r, d), covariance of each retired landmark with everything
     own = P[np.ix_(_indices(rows), _indices(rows))]
     C = error_state.world_landmark(before.landmarks[rows])
-    if C is not None:  # the error in metres is the landmark's plus C times the pose's
+    if C.any():  # the error in metres is the landmark's plus C times the pose's
         C = C.reshape(-1, 6)
         cross = to_all[:, before.pose] @ C.T
         own = own + cross + cross.T + C @ before.pose_covariance @ C.T
@@ -144,20 +153,21 @@ def _settle(final, before, keep, lam, Lam, error_state):
     final.seen[retired] = True
 
 
-def _backwards(n_frames, run):
+def _backwards(n_frames: int, run: Callable[..., Iterator[Step]]) -> Iterator[tuple[Step | None, Step]]:
     """Pairs (step before, step) of a run over n_frames, the last first; before the first step is None.
 
     run : function that starts the filter, `run(after=step)` one that goes on. The filter goes over the drive once for
     a step to restart from every sqrt(T) frames, and once more piece by piece: memory is that of a few dozen steps.
     """
     piece = max(1, isqrt(n_frames))
-    starts = [None, *(step for step in run(after=None) if (step.k + 1) % piece == 0)]
+    starts: list[Step | None] = [None, *(step for step in run(after=None) if (step.k + 1) % piece == 0)]
     for start in reversed(starts):
-        steps = [start, *islice(run(after=start), piece)]
-        yield from reversed(list(pairwise(steps)))
+        steps = list(islice(run(after=start), piece))
+        yield from reversed(list(zip([start, *steps], steps)))
 
 
-def final_map(drive, noise, error_state=None, progress=lambda frames, total: frames, **options) -> MapBelief:
+def final_map(drive: Drive, noise: Noise, error_state: ErrorState | None = None,
+              progress: Callable[..., Iterable] = lambda frames, total: frames, **options: Any) -> MapBelief:
     """Every landmark as the filter that never retires one would know it at the end of the drive.
 
     Returns a `MapBelief`; rows of landmarks that were never born are zero, and not `seen`.
@@ -177,19 +187,20 @@ def final_map(drive, noise, error_state=None, progress=lambda frames, total: fra
     M = drive.n_landmarks
     final = MapBelief(np.zeros((M, 3)), np.zeros((M, 3, 3)), np.zeros(M, bool))
 
-    lam = Lam = None
+    lam, Lam = np.empty((0, 1)), np.empty((0, 0))
     run = partial(window_slam.run, drive, noise, error_state, **options)
-    for earlier, step in progress(_backwards(drive.n_frames, run), total=drive.n_frames):
-        if lam is None:  # the end: no future, and whoever is still in the state has its final estimate
-            d, n = len(step.posterior.covariance), len(step.posterior.ids)
-            lam, Lam = np.zeros((d, 1)), np.zeros((d, d))
-            _settle(final, step.posterior, np.zeros(n, bool), lam[3 * n:], Lam[3 * n:, 3 * n:], error_state)
-        if earlier is None:
-            break
-        lam, Lam = _undo_birth(lam, Lam, step, settings)
-        lam, Lam = _undo_update(lam, Lam, step, settings)
-        transition = model.transition(earlier.posterior, earlier.k)
-        before = motion.propagate(earlier.posterior, transition)
-        lam, Lam = _undo_window(final, before, step.prior, lam, Lam, error_state)
-        lam, Lam = _undo_prediction(lam, Lam, 3 * len(before.ids), transition)
+    with threadpool_limits(limits=1, user_api="blas"):  # as in `window_slam.run`
+        for earlier, step in progress(_backwards(drive.n_frames, run), total=drive.n_frames):
+            if step.k == drive.n_frames - 1:  # the end: nothing later, what is in the state has its final estimate
+                d, n = len(step.posterior.covariance), len(step.posterior.ids)
+                lam, Lam = np.zeros((d, 1)), np.zeros((d, d))
+                _settle(final, step.posterior, np.zeros(n, bool), lam[3 * n:], Lam[3 * n:, 3 * n:], error_state)
+            if earlier is None:
+                break
+            lam, Lam = _undo_birth(lam, Lam, step, settings)
+            lam, Lam = _undo_update(lam, Lam, step, settings)
+            transition = model.transition(earlier.posterior, earlier.k)
+            before = motion.propagate(earlier.posterior, transition)
+            lam, Lam = _undo_window(final, before, step.prior, lam, Lam, error_state)
+            lam, Lam = _undo_prediction(lam, Lam, 3 * len(before.ids), transition)
     return final

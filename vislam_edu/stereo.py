@@ -17,6 +17,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from . import se3
 from .se3 import checked
@@ -24,12 +25,23 @@ from .se3 import checked
 PLACEHOLDER = np.array([0.0, 0.0, 1.0])
 PLACEHOLDER.setflags(write=False)
 
+# v_left and v_right of a rectified pair measure the same number. Their mean carries all that they say about the state
+# and has half the variance; their difference is pure noise, of no use but to the gate. So four rows become three.
+ROWS = [0, 1, 2]  # of a Jacobian with four rows: u_left, v, u_right
+ROW_VARIANCE = np.array([1.0, 0.5, 1.0])  # in units of sigma_px^2
+FOUR_FROM_THREE = [0, 1, 2, 1]
+
 _MIN_DEPTH = 0.1  # m; nothing on the road comes nearer, and a Jacobian grows with 1 / depth squared
 _MIN_DISPARITY = 1e-9  # px; far below what any tracker resolves, far enough from zero that no depth overflows
 _MIN_PARALLAX = 1e-9  # rad; two bearings that differ by less are parallel to rounding
 
 
-def pi(q):
+def reduce_rows(pixels: np.ndarray) -> np.ndarray:
+    """(..., 4) stereo measurements to the (..., 3) numbers [u_left, mean v, u_right] that carry information, px."""
+    return np.stack([pixels[..., 0], (pixels[..., 1] + pixels[..., 3]) / 2, pixels[..., 2]], axis=-1)
+
+
+def pi(q: np.ndarray) -> np.ndarray:
     """Projection `q / q_3` of homogeneous coordinates. q (..., 4), its depth q_3 not zero; returns (..., 4).
 
     Source: report section 3.2.2.
@@ -38,7 +50,7 @@ def pi(q):
     return q / q[..., 2:3]
 
 
-def dpi_dq(q):
+def dpi_dq(q: np.ndarray) -> np.ndarray:
     """Derivative of `pi`. q (..., 4) with q_3 not zero; returns (..., 4, 4). Source: report section 3.2.2."""
     q = checked(q, (4,), "q")
     per_depth = 1.0 / q[..., 2]
@@ -49,7 +61,7 @@ def dpi_dq(q):
     return derivative
 
 
-def bearing(K, uv):
+def bearing(K: np.ndarray, uv: np.ndarray) -> np.ndarray:
     """Bearing `K^-1 [u, v, 1]`: the direction to a pixel, scaled to depth one.
 
     K (3, 3) px; uv (..., 2) px, of one camera. Returns (..., 3), in that camera's frame.
@@ -59,7 +71,7 @@ def bearing(K, uv):
     return np.matvec(np.linalg.inv(K), homogeneous)
 
 
-def triangulate_bearings(z1, z2, R, p):
+def triangulate_bearings(z1: np.ndarray, z2: np.ndarray, R: np.ndarray, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Point seen along two bearings from two cameras in general position: the report's closed form.
 
     z1, z2 : (..., 3), bearings `K^-1 [u, v, 1]` (third entry 1) in camera 1 and in camera 2.
@@ -106,7 +118,7 @@ class StereoCamera:
     baseline: float
     cam_T_imu: np.ndarray
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         K, cam_T_imu = _read_only(self.K, "K"), _read_only(self.cam_T_imu, "cam_T_imu")
         baseline = _read_only(self.baseline, "baseline")
         _check_calibration(K)
@@ -117,12 +129,12 @@ class StereoCamera:
             object.__setattr__(self, field, value)
 
     @cached_property
-    def imu_T_cam(self):
+    def imu_T_cam(self) -> np.ndarray:
         """Pose of the left camera in the IMU frame, (4, 4), read-only."""
         return _read_only(se3.inverse(self.cam_T_imu), "imu_T_cam")
 
     @cached_property
-    def K_s(self):
+    def K_s(self) -> np.ndarray:
         """Stereo calibration matrix (4, 4), read-only: `pixels = K_s @ pi(q)`. Source: report 3.2.2."""
         (fu, _, cu), (_, fv, cv), _ = self.K
         rows = [[fu, 0, cu, 0], [0, fv, cv, 0], [fu, 0, cu, -fu * self.baseline], [0, fv, cv, 0]]
@@ -130,17 +142,17 @@ class StereoCamera:
 
     # Frames
 
-    def to_cam(self, world_T_imu, landmarks):
+    def to_cam(self, world_T_imu: np.ndarray, landmarks: np.ndarray) -> np.ndarray:
         """World to camera frame. world_T_imu (..., 4, 4), landmarks (..., 3), m; returns (..., 3), m."""
         return se3.transform(self.cam_T_imu @ se3.inverse(world_T_imu), landmarks)
 
-    def to_world(self, world_T_imu, points_cam):
+    def to_world(self, world_T_imu: np.ndarray, points_cam: np.ndarray) -> np.ndarray:
         """Camera to world frame. world_T_imu (..., 4, 4), points_cam (..., 3), m; returns (..., 3), m."""
         return se3.transform(checked(world_T_imu, (4, 4), "world_T_imu") @ self.imu_T_cam, points_cam)
 
     # Points to pixels
 
-    def project(self, points_cam):
+    def project(self, points_cam: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Pixels of points in the camera frame: `K_s pi(q)`.
 
         points_cam (..., 3), m. Returns (pixels, in_front): pixels (..., 4), px, always finite, and in_front
@@ -150,7 +162,7 @@ class StereoCamera:
         q, in_front = _homogeneous(points_cam)
         return np.matvec(self.K_s, pi(q)), in_front
 
-    def projection_jacobian(self, points_cam):
+    def projection_jacobian(self, points_cam: np.ndarray) -> np.ndarray:
         """Derivative of the pixels by the homogeneous point, `K_s dpi/dq`.
 
         points_cam (..., 3), m, in the camera frame. Returns (..., 4, 4); the first three columns are px/m.
@@ -160,7 +172,7 @@ class StereoCamera:
         q, _ = _homogeneous(points_cam)
         return self.K_s @ dpi_dq(q)
 
-    def measurement_jacobian(self, points_cam):
+    def measurement_jacobian(self, points_cam: np.ndarray) -> np.ndarray:
         """Derivative of the pixels by the point in the IMU frame: `J = K_s dpi/dq cam_T_imu P^T`.
 
         points_cam (..., 3), m, in the camera frame, where the derivative is taken. Returns (..., 4, 3), px/m.
@@ -169,7 +181,7 @@ class StereoCamera:
 
     # The observation model h(T, m)
 
-    def observe(self, world_T_imu, landmarks):
+    def observe(self, world_T_imu: np.ndarray, landmarks: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Observation model `h(T, m) = K_s pi(cam_T_imu T^-1 m)`.
 
         world_T_imu (..., 4, 4); landmarks (..., 3), m, world frame. Returns (pixels, in_front) as `project`
@@ -178,7 +190,7 @@ class StereoCamera:
         """
         return self.project(self.to_cam(world_T_imu, landmarks))
 
-    def landmark_jacobian(self, world_T_imu, landmarks):
+    def landmark_jacobian(self, world_T_imu: np.ndarray, landmarks: np.ndarray) -> np.ndarray:
         """Derivative of `observe` by the landmark, `J R^T`: (..., 4, 3), px/m. Arguments as for `observe`.
 
         Source: report section 3.2.2, with the inverse pose where it writes T_{t-1}.
@@ -187,7 +199,7 @@ class StereoCamera:
         Rt = np.swapaxes(np.asarray(world_T_imu)[..., :3, :3], -1, -2)
         return J @ Rt
 
-    def pose_jacobian(self, world_T_imu, landmarks):
+    def pose_jacobian(self, world_T_imu: np.ndarray, landmarks: np.ndarray) -> np.ndarray:
         """Derivative of `observe` by the right perturbation eps of `T exp(eps^)`, at eps = 0.
 
         `-K_s dpi/dq cam_T_imu odot(s)` with s = T^-1 m, which is `-J [I, -s^]`. Arguments as for `observe`.
@@ -199,7 +211,7 @@ class StereoCamera:
 
     # Pixels to points
 
-    def triangulate(self, pixels, min_disparity=0.0):
+    def triangulate(self, pixels: np.ndarray, min_disparity: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
         """Point of a pixel measurement, from the disparity `d = u_left - u_right`: depth `f_u baseline / d`.
 
         pixels (..., 4), px. Returns (points_cam, ok): points_cam (..., 3), m, in the camera frame, always
@@ -217,7 +229,7 @@ class StereoCamera:
         rays = bearing(self.K, np.stack([u_left, 0.5 * (v_left + v_right)], axis=-1))
         return np.where(ok[..., None], depth[..., None] * rays, PLACEHOLDER), ok
 
-    def triangulation_covariance(self, points_cam, sigma_px):
+    def triangulation_covariance(self, points_cam: np.ndarray, sigma_px: float) -> np.ndarray:
         """Covariance of a triangulated point, `(H^T V^-1 H)^-1` with V = sigma_px^2 I, to first order.
 
         points_cam (..., 3), m, in the camera frame, in front of it; sigma_px > 0, px, of each coordinate.
@@ -229,7 +241,7 @@ class StereoCamera:
         return sigma_px**2 * np.linalg.inv(np.swapaxes(H, -1, -2) @ H)
 
 
-def _homogeneous(points):
+def _homogeneous(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Homogeneous coordinates (..., 4) of points (..., 3), placeholders where not in front, and the mask."""
     points = checked(points, (3,), "points")
     in_front = np.isfinite(points).all(axis=-1) & (points[..., 2] > _MIN_DEPTH)
@@ -238,22 +250,22 @@ def _homogeneous(points):
     return q, in_front
 
 
-def _finite(values):
+def _finite(values) -> tuple[np.ndarray, np.ndarray]:
     """Values (..., n) with zeros where a row holds NaN or infinity, and the mask (...) of finite rows."""
     finite = np.isfinite(values).all(axis=-1)
     return np.where(finite[..., None], values, 0.0), finite
 
 
-def _read_only(value, name):
+def _read_only(value: ArrayLike, name: str) -> np.ndarray:
     try:
-        value = np.array(value, dtype=float)
+        array = np.array(value, dtype=float)
     except (TypeError, ValueError) as error:
         raise ValueError(f"{name} must be an array of numbers: {error}") from error
-    value.setflags(write=False)
-    return value
+    array.setflags(write=False)
+    return array
 
 
-def _check_calibration(K):
+def _check_calibration(K: np.ndarray) -> None:
     if K.shape != (3, 3):
         raise ValueError(f"K must have shape (3, 3), got {K.shape}")
     fu, fv = K[0, 0], K[1, 1]
@@ -265,7 +277,7 @@ def _check_calibration(K):
         )
 
 
-def _check_pose(T, name):
+def _check_pose(T: np.ndarray, name: str) -> None:
     if T.shape != (4, 4):
         raise ValueError(f"{name} must have shape (4, 4), got {T.shape}")
     if not np.isfinite(T).all():

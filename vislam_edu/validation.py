@@ -3,28 +3,35 @@
 The checks run in their order here, as a `Drive` is made; a later one relies on what an earlier one has found right.
 """
 
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from .stereo import StereoCamera
+
+if TYPE_CHECKING:
+    from .drive import Drive
 
 
 class DriveError(ValueError):
     """A recording that cannot be used; the message names the field, where in it, and what is wrong."""
 
 
-def _check_shape(name, value, shape):
+def _check_shape(name: str, value: np.ndarray, shape: tuple[int, ...]) -> None:
     if value.shape != shape:
         raise DriveError(f"{name}: shape {value.shape}, expected {shape}")
 
 
-def _check_finite(name, value):
+def _check_finite(name: str, value: np.ndarray) -> None:
     bad = np.argwhere(~np.isfinite(value))
     if bad.size:
         raise DriveError(f"{name}: {value[tuple(bad[0])]} at index {tuple(bad[0].tolist())}, "
                          f"expected finite numbers only")
 
 
-def check_imu(drive):
+def check_imu(drive: Drive) -> None:
     """Times, IMU samples and calibration. Raises DriveError."""
     times = drive.times
     if times.ndim != 1:
@@ -45,7 +52,7 @@ def check_imu(drive):
         raise DriveError(f"camera: {type(drive.camera).__name__}, expected a StereoCamera")
 
 
-def check_observations(drive):
+def check_observations(drive: Drive) -> None:
     """What is seen in which frame, and that no track has a gap. Raises DriveError."""
     start, landmark = drive.frame_start, drive.landmark
     _check_shape("frame_start", start, (drive.n_frames + 1,))
@@ -71,7 +78,7 @@ def check_observations(drive):
                          f"frame {seen[gap + 1]}; a track that comes back must be a new landmark")
 
 
-def check_truth(drive):
+def check_truth(drive: Drive) -> None:
     """True poses and landmarks, where there are any. Raises DriveError."""
     poses, landmarks = drive.truth_world_T_cam, drive.truth_landmarks
     if poses is not None:

@@ -1,36 +1,40 @@
-"""Full visual-inertial SLAM: one Gaussian over the pose and every landmark in view.
+"""The joint filter over the landmarks in view: the estimates of `ekf_slam`, fast enough for thousands of landmarks.
 
-    for step in slam.run(drive, noise):
+    for step in window_slam.run(drive, noise):
         step.prior, step.innovation, step.posterior
 
-One frame: predict, drop the landmarks that are out of sight, update with those that are known, add the new ones.
+One frame: predict, retire the landmarks that are out of sight, update with those that are known, add the new ones. What
+makes it fast is the window (a landmark that cannot be seen again leaves the state, which is exact for all that stays)
+and `blockwise` (H is never written out). What an error is, what moves the car, what a frame does and who retires are
+arguments.
+
+>>> from vislam_edu import Noise, load, window_slam
+>>> step = next(window_slam.run(load("first_steps"), Noise()))
+>>> len(step.born) == len(step.posterior.ids)
+True
 """
 
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.linalg import block_diag, cholesky
-from scipy.linalg.blas import dtrsm, dtrsv
+from scipy.linalg import block_diag
+from threadpoolctl import ThreadpoolController
 
-from . import kalman, motion
+from . import blockwise, kalman, motion, stereo
+from .drive import Drive
 from .error_state import ErrorState, RightPerturbation
-from .motion import Belief
+from .kalman import Belief, Innovation, Step
 from .noise import Noise
 from .stereo import StereoCamera
-
-# v_left and v_right of a rectified pair measure the same thing. Their mean carries all they say about the state and
-# has half the variance; their difference is pure noise, of no use but to the gate. So four rows become three.
-ROWS = [0, 1, 2]  # of J: u_left, v, u_right
-ROW_VARIANCE = np.array([1.0, 0.5, 1.0])
-FOUR_FROM_THREE = [0, 1, 2, 1]
 
 
 @dataclass(frozen=True, eq=False)
 class UpdateSettings:
-    """What an update needs to know besides the belief.
+    """What an update needs besides the belief.
 
     camera : StereoCamera. noise : Noise. error_state : `ErrorState`.
-    threshold : largest NIS (4 degrees of freedom) of a measurement that is believed.
+    threshold : largest NIS (4 degrees of freedom) of a measurement that is used.
     min_disparity : px, below it a new landmark waits for a better view.
     """
 
@@ -41,116 +45,85 @@ class UpdateSettings:
     min_disparity: float
 
 
-def reduce_rows(pixels):
-    """(n, 4) stereo measurements to the (n, 3) numbers that carry information."""
-    return np.stack([pixels[:, 0], (pixels[:, 1] + pixels[:, 3]) / 2, pixels[:, 2]], axis=-1)
+Frame = tuple[Belief, Belief, Innovation]
+ProcessFrame = Callable[[Belief, np.ndarray, np.ndarray, UpdateSettings], Frame]
+Retire = Callable[[Belief, np.ndarray], np.ndarray]
 
 
-def contains(sorted_ids, ids):
-    """(len(ids),) bool: which of `ids` are among `sorted_ids`, both ascending."""
+def contains(sorted_ids: np.ndarray, ids: np.ndarray) -> np.ndarray:
+    """(len(ids),) bool: which of `ids` are among `sorted_ids`, which ascend."""
     if len(sorted_ids) == 0:
         return np.zeros(len(ids), dtype=bool)
     place = np.minimum(np.searchsorted(sorted_ids, ids), len(sorted_ids) - 1)
     return sorted_ids[place] == ids
 
 
-def linearise(belief, rows, settings):
-    """Prediction and Jacobians of the landmarks at `rows` of the window.
-
-    Returns predicted (n, 4) px, in_front (n,), H_landmark (n, 3, 3) and H_pose (n, 3, 6), rows [u_left, v, u_right].
-    """
-    landmarks = belief.landmarks[rows]
-    points = settings.camera.to_cam(belief.world_T_imu, landmarks)
-    predicted, in_front = settings.camera.project(points)
-    J = settings.camera.measurement_jacobian(points)[:, ROWS]
-    return predicted, in_front, *settings.error_state.jacobians(belief.world_T_imu, landmarks, J)
-
-
-def times_H(A, rows, H_landmark, H_pose, n):
-    """H A for A (d, c), without writing H: a measurement touches one landmark and the pose, nothing else.
-
-    n : landmarks in the state. Returns (3 len(rows), c).
-    """
-    blocks = A[:3 * n].reshape(n, 3, -1)
-    if len(rows) < n:  # the usual case, everything in the window is seen, needs no copy
-        blocks = blocks[rows]
-    HA = (H_landmark @ blocks).reshape(3 * len(rows), -1)
-    HA += H_pose.reshape(-1, 6) @ A[3 * n:3 * n + 6]
-    return HA
-
-
 @dataclass(frozen=True, eq=False)
 class Linearised:
-    """A frame's measurements against a prior, ready to be absorbed.
+    """m measurements against a prior: H by blocks and residuals, three numbers [u_left, v, u_right] a measurement.
 
-    HP : (3m, d), H times the covariance. S : (3m, 3m), innovation covariance. residual : (3m,) px, three numbers a
-    measurement.
+    rows : (m,), where their landmarks stand in the window. H_landmark : (m, 3, 3). H_pose : (m, 3, 6).
+    residual : (m, 3), px.
     """
 
-    HP: np.ndarray
-    S: np.ndarray
+    rows: np.ndarray
+    H_landmark: np.ndarray
+    H_pose: np.ndarray
     residual: np.ndarray
 
 
-def compute_innovation(prior, ids, pixels, settings):
-    """The landmarks `ids` (all in the window) against their predictions, gated one by one.
+def linearise(belief: Belief, ids: np.ndarray, pixels: np.ndarray,
+              settings: UpdateSettings) -> tuple[Linearised, np.ndarray, np.ndarray]:
+    """The landmarks `ids` (m,), all in the window, against their pixels (m, 4).
 
-    ids : (m,). pixels : (m, 4). Returns (Innovation, Linearised).
+    Returns the `Linearised`, the predicted pixels (m, 4) and in_front (m,) bool.
     """
-    n, m = len(prior.ids), len(ids)
-    rows = np.searchsorted(prior.ids, ids)
-    predicted, in_front, H_l, H_p = linearise(prior, rows, settings)
-    residual = pixels - predicted
-
-    HP = times_H(prior.covariance, rows, H_l, H_p, n)
-    S = times_H(np.ascontiguousarray(HP.T), rows, H_l, H_p, n)
-    each = np.arange(m)
-    explained = S.reshape(m, 3, m, 3)[each, :, each, :]
-    S.reshape(-1)[::3 * m + 1] += np.tile(settings.noise.sigma_px**2 * ROW_VARIANCE, m)  # on the diagonal
-
-    S_each = explained[:, FOUR_FROM_THREE][:, :, FOUR_FROM_THREE] + settings.noise.pixel_covariance
-    nis = np.where(in_front, kalman.nis(residual, S_each), np.inf)
-    accepted = in_front & (nis <= settings.threshold)
-    return (kalman.Innovation(ids, pixels, predicted, S_each, nis, accepted),
-            Linearised(HP, S, reduce_rows(residual).ravel()))
+    rows = np.searchsorted(belief.ids, ids)
+    landmarks = belief.landmarks[rows]
+    points = settings.camera.to_cam(belief.world_T_imu, landmarks)
+    predicted, in_front = settings.camera.project(points)
+    J = settings.camera.measurement_jacobian(points)[:, stereo.ROWS]
+    H_landmark, H_pose = settings.error_state.jacobians(belief.world_T_imu, landmarks, J)
+    return Linearised(rows, H_landmark, H_pose, stereo.reduce_rows(pixels - predicted)), predicted, in_front
 
 
-def apply_update(prior, linearised, accepted, settings) -> Belief:
+def compute_innovation(prior: Belief, ids: np.ndarray, pixels: np.ndarray,
+                       settings: UpdateSettings) -> tuple[Innovation, Linearised]:
+    """The landmarks `ids` (m,), all in the window, against their predictions, gated one by one. pixels : (m, 4)."""
+    linearised, predicted, in_front = linearise(prior, ids, pixels, settings)
+    explained = blockwise.diagonal_blocks(prior.covariance, linearised.rows, linearised.H_landmark, linearised.H_pose,
+                                          len(prior.ids))
+    S = explained[:, stereo.FOUR_FROM_THREE][:, :, stereo.FOUR_FROM_THREE] + settings.noise.pixel_covariance
+    nis = np.where(in_front, kalman.nis(pixels - predicted, S), np.inf)
+    return Innovation(ids, pixels, predicted, S, nis, in_front & (nis <= settings.threshold)), linearised
+
+
+def apply_update(prior: Belief, linearised: Linearised, accepted: np.ndarray, settings: UpdateSettings) -> Belief:
     """EKF update of the whole joint belief with the measurements that are accepted, (m,) bool.
 
-    With S = L L^T and Y = L^-1 H P, the gain is K = Y^T L^-1 and the new covariance P - K S K^T = P - Y^T Y: symmetric
-    by construction, and no inverse is ever formed.
     Source: report section 3.3.2, steps 3 to 5.
     """
     if not accepted.any():
         return prior
-    HP, S, residual = linearised.HP.copy(), linearised.S.copy(), linearised.residual.copy()
-    if not accepted.all():  # a measurement kept out is one that depends on nothing: H = 0, whatever its noise
-        out = np.flatnonzero(np.repeat(~accepted, 3))
-        HP[out], S[out], S[:, out], S[out, out], residual[out] = 0, 0, 0, 1, 0
-
-    # LAPACK and BLAS count by columns: S^T is S, and (HP)^T becomes Y^T = (HP)^T L^-T, both in place
-    L = cholesky(S.T, lower=True, overwrite_a=True, check_finite=False)
-    Y = dtrsm(1.0, L, HP.T, side=1, lower=1, trans_a=1, overwrite_b=1).T
-    y = dtrsv(L, residual, lower=1)
-    return motion.retract(prior, Y.T @ y, prior.covariance - Y.T @ Y, settings.error_state)
+    variance = np.tile(settings.noise.sigma_px**2 * stereo.ROW_VARIANCE, (accepted.sum(), 1))
+    delta, covariance = blockwise.absorb(
+        prior.covariance, linearised.rows[accepted], linearised.H_landmark[accepted], linearised.H_pose[accepted],
+        len(prior.ids), linearised.residual[accepted], variance)
+    return motion.retract(prior, delta, covariance, settings.error_state)
 
 
-def update(prior, ids, pixels, settings):
-    """EKF update with the landmarks `ids` (all in the window) that the gate lets pass.
-
-    ids : (m,). pixels : (m, 4). Returns (posterior, Innovation).
-    """
+def update(prior: Belief, ids: np.ndarray, pixels: np.ndarray, settings: UpdateSettings) -> tuple[Belief, Innovation]:
+    """EKF update with those landmarks `ids` (m,), all in the window, that the gate lets pass. pixels : (m, 4)."""
     if len(ids) == 0:
         return prior, kalman.NO_INNOVATION
     innovation, linearised = compute_innovation(prior, ids, pixels, settings)
     return apply_update(prior, linearised, innovation.accepted, settings), innovation
 
 
-def marginalise(belief, keep) -> Belief:
+def marginalise(belief: Belief, keep: np.ndarray) -> Belief:
     """The belief over fewer landmarks. keep : (n,) bool.
 
-    Dropping variables from a Gaussian is dropping their rows and columns: exact for everything that stays.
+    Marginalising variables of a Gaussian is dropping their rows and columns: exact for everything that stays.
     """
     if keep.all():
         return belief
@@ -160,7 +133,7 @@ def marginalise(belief, keep) -> Belief:
                   belief.covariance.take(index, axis=0).take(index, axis=1), belief.motion)
 
 
-def _insert(belief, ids, landmarks, cross, own) -> Belief:
+def _insert(belief: Belief, ids: np.ndarray, landmarks: np.ndarray, cross: np.ndarray, own: np.ndarray) -> Belief:
     """New landmarks at their places in the order of ids. cross : (3m, d), own : (3m, 3m) covariance."""
     n, m, d = len(belief.ids), len(ids), len(belief.covariance)
     P = np.empty((d + 3 * m, d + 3 * m))
@@ -173,7 +146,7 @@ def _insert(belief, ids, landmarks, cross, own) -> Belief:
                   P.take(index, axis=0).take(index, axis=1), belief.motion)
 
 
-def add_correlated(belief, ids, pixels, settings) -> Belief:
+def add_correlated(belief: Belief, ids: np.ndarray, pixels: np.ndarray, settings: UpdateSettings) -> Belief:
     """New landmarks, each as uncertain as its triangulation and correlated with the pose it was seen from.
 
     Sigma_mm = G Sigma_TT G^T + A C A^T,  Sigma_m. = G Sigma_T.   (C: triangulation covariance in the IMU frame)
@@ -199,7 +172,7 @@ def add_correlated(belief, ids, pixels, settings) -> Belief:
     return _insert(belief, ids, landmarks, G @ belief.covariance[belief.pose], own)
 
 
-def add_as_report(belief, ids, pixels, settings) -> Belief:
+def add_as_report(belief: Belief, ids: np.ndarray, pixels: np.ndarray, settings: UpdateSettings) -> Belief:
     """New landmarks the report's way: triangulated mean, variance 2 per axis, no correlation with anything.
 
     That counts the pose as known at the moment a landmark is born.
@@ -212,10 +185,11 @@ def add_as_report(belief, ids, pixels, settings) -> Belief:
                    settings.noise.landmark_prior * np.eye(3 * len(ids)))
 
 
-def correlated(prior, ids, pixels, settings):
-    """The correct frame: known landmarks correct the state, then new ones join it, their first measurement used up.
+def correct_frame(update: Callable[..., tuple[Belief, Innovation]], prior: Belief, ids: np.ndarray,
+                  pixels: np.ndarray, settings: UpdateSettings) -> Frame:
+    """Known landmarks correct the state by `update`, then new ones join it, their first measurement used once.
 
-    Returns (prior, posterior, Innovation): the prior comes back unchanged.
+    update : called as `update(prior, ids, pixels, settings)`. Returns (prior, posterior, Innovation).
     """
     known = contains(prior.ids, ids)
     posterior, innovation = update(prior, ids[known], pixels[known], settings)
@@ -224,7 +198,12 @@ def correlated(prior, ids, pixels, settings):
     return prior, posterior, innovation
 
 
-def as_report(prior, ids, pixels, settings):
+def correlated(prior: Belief, ids: np.ndarray, pixels: np.ndarray, settings: UpdateSettings) -> Frame:
+    """The correct frame with the plain gate, see `correct_frame`."""
+    return correct_frame(update, prior, ids, pixels, settings)
+
+
+def as_report(prior: Belief, ids: np.ndarray, pixels: np.ndarray, settings: UpdateSettings) -> Frame:
     """The report's frame: new landmarks join first and their first measurement is used a second time.
 
     Returns (prior with the new landmarks in it, posterior, Innovation).
@@ -235,13 +214,13 @@ def as_report(prior, ids, pixels, settings):
     return prior, *update(prior, ids[known], pixels[known], settings)
 
 
-def without_cross_covariance(process_frame):
-    """The same frame, after which landmarks and pose are taken for independent: what many first versions do.
+def without_cross_covariance(process_frame: ProcessFrame) -> ProcessFrame:
+    """The same frame, after which landmarks and pose are assumed independent: what many first versions do.
 
-    process_frame : `correlated` or `as_report`. Returns a function to pass to `run`. It is wrong, and worth seeing.
+    process_frame : `correlated` or `as_report`. Returns a function to pass to `run`. It is wrong on purpose.
     """
 
-    def blind(prior, ids, pixels, settings):
+    def blind(prior: Belief, ids: np.ndarray, pixels: np.ndarray, settings: UpdateSettings) -> Frame:
         prior, posterior, innovation = process_frame(prior, ids, pixels, settings)
         blocks = [*posterior.landmark_covariance, posterior.covariance[posterior.pose.start:, posterior.pose.start:]]
         return prior, replace(posterior, covariance=block_diag(*blocks)), innovation
@@ -249,21 +228,23 @@ def without_cross_covariance(process_frame):
     return blind
 
 
-def retire_unseen(belief, ids):
-    """Retire what this frame does not see: tracks never return, so it can never be measured again."""
+def retire_unseen(belief: Belief, ids: np.ndarray) -> np.ndarray:
+    """(n,) bool: keep what this frame sees. Tracks never return, so what is lost can never be measured again."""
     return contains(ids, belief.ids)
 
 
-def retire_none(belief, ids):
-    """Retire nothing: the report's filter, whose covariance grows with the map."""
+def retire_none(belief: Belief, ids: np.ndarray) -> np.ndarray:
+    """(n,) bool: keep everything, as the report's filter does, whose covariance grows with the map."""
     return np.ones(len(belief.ids), dtype=bool)
 
 
-def run(drive, noise, error_state=None, *, motion_model=motion.ImuDriven, process_frame=correlated, retire=retire_unseen,
-        gate=0.99, min_disparity=1.0, world_T_imu=None, after=None):
+def run(drive: Drive, noise: Noise, error_state: ErrorState | None = None, *,
+        motion_model: Callable[[Drive, Noise, ErrorState], motion.MotionModel] = motion.ImuDriven,
+        process_frame: ProcessFrame = correlated, retire: Retire = retire_unseen, gate: float = 0.99,
+        min_disparity: float = 1.0, world_T_imu: np.ndarray | None = None, after: Step | None = None) -> Iterator[Step]:
     """The joint filter over a drive: yields one `Step` per frame, its beliefs `Belief`s.
 
-    drive : Drive. noise : Noise. error_state : `RightPerturbation()` (the report's, the default) or another.
+    error_state : `RightPerturbation()` (the report's, the default) or another.
     motion_model : `motion.ImuDriven` (the report's) or `motion.TwistAndBias`. process_frame : what a frame does,
     `correlated` or `as_report`. retire : which landmarks leave the state, `retire_unseen` or `retire_none`.
     gate : probability that a good measurement passes, 1 for no gate. min_disparity : px, below it a landmark waits.
@@ -277,11 +258,14 @@ def run(drive, noise, error_state=None, *, motion_model=motion.ImuDriven, proces
     error_state = error_state or RightPerturbation()
     settings = UpdateSettings(drive.camera, noise, error_state, kalman.gate_threshold(gate), min_disparity)
     model = motion_model(drive, noise, error_state)
-    posterior = after and after.posterior
+    posterior = after.posterior if after else model.start(world_T_imu)
+    # Matrices of a few hundred rows: the threads of one product would wait for each other longer than they work.
+    blas = ThreadpoolController()
     for k in range(after.k + 1 if after else 0, drive.n_frames):
-        before = model.start(world_T_imu) if posterior is None else model.predict(posterior, k - 1)
-        ids, pixels = drive.observed(k)
-        keep = retire(before, ids)
-        prior, posterior, innovation = process_frame(marginalise(before, keep), ids, pixels, settings)
+        with blas.limit(limits=1, user_api="blas"):
+            before = model.predict(posterior, k - 1) if k else posterior
+            ids, pixels = drive.observed(k)
+            keep = retire(before, ids)
+            prior, posterior, innovation = process_frame(marginalise(before, keep), ids, pixels, settings)
         born = posterior.ids[~contains(before.ids, posterior.ids)]
-        yield kalman.Step(k, drive.times[k], prior, posterior, innovation, born, before.ids[~keep])
+        yield Step(k, drive.times[k], prior, posterior, innovation, born, before.ids[~keep])

@@ -55,10 +55,7 @@ def add_recording(parser):
 
 def read_recording(arguments):
     """The `Drive` that `add_recording` asked for. Raises DriveError when it cannot be used."""
-    path = Path(arguments.recording)
-    if not path.exists():
-        path = recordings.find(arguments.recording) or path
-    drive = recordings.load(path)
+    drive = recordings.load(arguments.recording)
     if arguments.ground_truth is not None:
         drive = recordings.load_ground_truth(arguments.ground_truth, drive)
     return drive

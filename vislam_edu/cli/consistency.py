@@ -38,7 +38,8 @@ def run(arguments) -> int:
     make_drive = functools.partial(simulate.street_loop, frames=arguments.frames, **sensors)
     try:
         with joblib.parallel_config(n_jobs=arguments.workers):
-            studies = consistency.monte_carlo(make_drive, consistency.standard_filters(Noise(**sensors)), range(arguments.seeds), arguments.out)
+            studies = consistency.monte_carlo(make_drive, consistency.standard_filters(Noise(**sensors)),
+                                              range(arguments.seeds), arguments.out)
     except ValueError as error:
         raise OptionError(f"consistency: {error}") from None
     figures = consistency.summary(studies) | sensors

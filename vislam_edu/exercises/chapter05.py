@@ -3,8 +3,7 @@
 import numpy as np
 from scipy.linalg import block_diag
 
-from .. import kalman, motion, se3, window_slam
-from ..error_state import RightPerturbation
+from .. import ekf_slam, kalman, se3
 from .exercise import exercise
 from .inputs import random_covariance, random_pose
 
@@ -29,7 +28,7 @@ def _carried(P, F, W, cross=True):
     return new
 
 
-@exercise(chapter=5, cases=joint_predictions, shows=[motion.propagate], hints=[
+@exercise(chapter=5, cases=joint_predictions, shows=[ekf_slam.predict_joint], hints=[
     "Landmarks stand still, the pose error is multiplied by F: the whole transition is block_diag(I, F).",
     "P_LL stays; P_LR becomes P_LR F^T and P_RL becomes F P_RL; P_RR becomes F P_RR F^T + W."])
 def predict_joint(covariance, F, W):
@@ -114,7 +113,7 @@ def _G(world_T_imu, point_imu):
     return np.hstack([R, -R @ se3.so3_hat(point_imu)])
 
 
-@exercise(chapter=5, cases=births, shows=[window_slam.add_correlated, RightPerturbation.birth],
+@exercise(chapter=5, cases=births, shows=[ekf_slam.new_landmark],
           outputs=("landmark", "covariance"), hints=[
     "m = R s + p. An error of the pose moves the new landmark by G e, an error of s by R times it.",
     "G = R [I, -s^]; own block G P_RR G^T + R C R^T; with every old variable G P[-6:], landmarks included."])
@@ -212,7 +211,7 @@ def _assembled(H_landmark, H_pose, n, columns):
     return H
 
 
-@exercise(chapter=5, cases=jacobians, shows=[window_slam.times_H, window_slam.linearise], hints=[
+@exercise(chapter=5, cases=jacobians, shows=[ekf_slam.joint_jacobian], hints=[
     "Four rows for each measurement. In them only two blocks are not zero: its own landmark's and the pose's.",
     "H[4*i:4*i+4, 3*rows[i]:3*rows[i]+3] = H_landmark[i] and H[4*i:4*i+4, 3*n:] = H_pose[i]"])
 def joint_jacobian(H_landmark, H_pose, rows, n):
@@ -269,7 +268,7 @@ def _moved(world_T_imu, landmarks, delta, P):
     return world_T_imu @ se3.exp(delta[n:]), landmarks + delta[:n].reshape(-1, 3), P
 
 
-@exercise(chapter=5, cases=joint_updates, shows=[window_slam.update, kalman.update, RightPerturbation.retract],
+@exercise(chapter=5, cases=joint_updates, shows=[ekf_slam.joint_update, kalman.update],
           outputs=("world_T_imu", "landmarks", "covariance"), tolerance=1e-7, hints=[
     "One Kalman update over the whole state; then its correction is cut into landmarks (added) and pose (exponential).",
     "delta, P = kalman.update(...); landmarks + delta[:3n].reshape(n, 3); world_T_imu @ se3.exp(delta[3n:])"])

@@ -33,7 +33,7 @@ def invariant_noise(world_T_imu, landmarks, body_noise):
     body_noise : (6, 6), tau J_r(tau u), twist error to pose error in the body frame. Returns N (3n+6, 6), so that
     P' = P + N Q N^T. You may use `se3`.
     """
-    B = _INVARIANT.pose_transition(world_T_imu, None, body_noise)[1]
+    B = _INVARIANT.pose_transition(world_T_imu, np.eye(4), body_noise)[1]
     return _stacked(_INVARIANT.landmark_transition(landmarks, B), B)
 
 
@@ -88,7 +88,7 @@ def invariant_jacobian(J, world_T_imu):
     J : (n, 4, 3), px/m, derivative of the pixels by the point in the IMU frame. world_T_imu : (4, 4).
     Returns H_landmark (n, 4, 3) and H_pose (n, 4, 6), columns [position, rotation].
     """
-    return _INVARIANT.jacobians(world_T_imu, None, J)
+    return _INVARIANT.jacobians(world_T_imu, np.zeros((len(J), 3)), J)
 
 
 @invariant_jacobian.mistake("rotation kept", """Columns for the rotation other than zero tell the filter that

@@ -16,8 +16,8 @@ _FORMAT = "vislam_edu drive 1"
 _PROJECT = Path(__file__).resolve().parents[2]
 
 
-def load(path) -> Drive:
-    """Read a recording.
+def load(name) -> Drive:
+    """Read a recording, given its path, or the name of a file of `find` (with or without .npz or .npy).
 
     Layouts, told apart by their keys:
     - npz with `time_stamps, features, linear_velocity, angular_velocity, K, b, imu_T_cam` (03.npz, 10.npz),
@@ -30,7 +30,7 @@ def load(path) -> Drive:
     agree is for `audit` to find out. Rotations with only a few digits are projected to SO(3).
     Raises DriveError (a ValueError) naming the file, the field and what is wrong with it.
     """
-    path = Path(path)
+    path = _resolved(name)
     with files.errors_name(path), files.open_fields(path) as fields:
         if "format" in fields:
             return _own_drive(fields)
@@ -54,17 +54,25 @@ def save(drive, path):
         np.savez_compressed(file, **fields)
 
 
-def find(name) -> Path | None:
-    """The file of that name (with or without .npz or .npy), or None.
+def folders() -> list[Path]:
+    """Where `find` looks, in this order: the project's data/, the working directory, ../shared/data."""
+    return [_PROJECT / "data", Path.cwd(), _PROJECT.parent / "shared" / "data"]
 
-    Looked for in the project's data/, in the working directory and in ../shared/data, in this order.
-    """
-    for folder in (_PROJECT / "data", Path.cwd(), _PROJECT.parent / "shared" / "data"):
-        for suffix in ("", ".npz", ".npy"):
-            path = folder / f"{name}{suffix}"
-            if path.is_file():
-                return path
-    return None
+
+def find(name) -> Path | None:
+    """The file of that name (with or without .npz or .npy) in one of `folders()`, or None."""
+    candidates = (folder / f"{name}{suffix}" for folder in folders() for suffix in ("", ".npz", ".npy"))
+    return next((path for path in candidates if path.is_file()), None)
+
+
+def _resolved(name) -> Path:
+    """The path itself where something is there, else the file of that name."""
+    path = Path(name)
+    found = path if path.exists() else find(name)
+    if found is None:
+        raise DriveError(f"{name}: no such file, and none of that name in "
+                         + ", ".join(map(str, dict.fromkeys(folders()))))
+    return found
 
 
 def load_ground_truth(path, drive) -> Drive:

@@ -112,7 +112,7 @@ def global_directions(error_state, world_T_imu, landmarks):
     pose_moved[:3, 3:] = -se3.so3_hat(world_T_imu[:3, 3])
     pose_error = np.linalg.solve(error_state.world_pose(world_T_imu), pose_moved)
     C = error_state.world_landmark(landmarks)
-    landmark_error = moved if C is None else moved - C @ pose_error
+    landmark_error = moved - C @ pose_error
     return np.concatenate([landmark_error.reshape(-1, 6), pose_error])
 
 

@@ -108,7 +108,8 @@ def noise_of_real_drive(measured) -> Noise:
     return replace(measured.noise, sigma_px=TRACK_SIGMA_PX)
 
 
-def run_pipeline(drive, noise, error_state=None, *, motion_model=motion.ImuDriven, method="slam", process_frame=window_slam.correlated,
+def run_pipeline(drive, noise, error_state=None, *, motion_model=motion.ImuDriven, method="slam",
+                 process_frame=window_slam.correlated,
         gate=0.99, min_disparity=1.0, progress=no_progress) -> Result:
     """All the report's estimates of one drive.
 
@@ -124,7 +125,8 @@ def run_pipeline(drive, noise, error_state=None, *, motion_model=motion.ImuDrive
     steps = mapping.run(drive, noise, poses, mapping.as_report, gate=1, min_disparity=min_disparity)
     mapped = collect_mapping(progress(steps, total=drive.n_frames, desc="mapping"))
     error_state = error_state or RightPerturbation()
-    steps = window_slam.run(drive, noise, error_state, motion_model=motion_model, process_frame=process_frame, gate=gate,
+    steps = window_slam.run(drive, noise, error_state, motion_model=motion_model, process_frame=process_frame,
+                            gate=gate,
                      min_disparity=min_disparity)
     steps = progress(steps, total=drive.n_frames, desc="SLAM")
     joint = collect_slam(drive, steps, error_state, method)
@@ -200,7 +202,7 @@ def world_landmark_covariance(belief, error_state):
     """
     P_mm = belief.landmark_covariance
     C = error_state.world_landmark(belief.landmarks)
-    if C is None:
+    if not C.any():
         return P_mm
     Ct = np.swapaxes(C, -1, -2)
     P_mp = belief.covariance[:3 * len(belief.ids), belief.pose].reshape(-1, 3, 6)

@@ -3,7 +3,7 @@
 import numpy as np
 from matplotlib.collections import LineCollection
 
-from .. import kalman, window_slam
+from .. import metrics, window_slam
 from ..error_state import RightPerturbation
 from ..plots.style import COLOURS
 from ..studies.pipeline import world_landmark_covariance
@@ -21,21 +21,16 @@ def correlation(covariance):
     return covariance / np.outer(sigma, sigma)
 
 
-def frame_nis(step, sensors):
-    """NIS of a whole frame, and how many numbers it sums: three a landmark, as v_left and v_right measure the same."""
+def frame_nis(step, settings):
+    """NIS of a whole frame and its degrees of freedom, see `metrics.frame_nis`."""
     innovation, prior = step.innovation, step.prior
-    m, n = len(innovation.ids), len(prior.ids)
-    rows = np.searchsorted(prior.ids, innovation.ids)
-    _, _, H_l, H_p = window_slam.linearise(prior, rows, sensors)
-    H = np.zeros((m, 3, len(prior.covariance)))
-    for j, row in enumerate(rows):
-        H[j, :, 3 * row : 3 * row + 3] = H_l[j]
-    H[:, :, 3 * n : 3 * n + 6] = H_p
-    V = np.diag(np.tile(sensors.noise.sigma_px**2 * window_slam.ROW_VARIANCE, m))
-    residual = innovation.residual
-    reduced = np.stack([residual[:, 0], (residual[:, 1] + residual[:, 3]) / 2, residual[:, 2]], axis=-1)
-    S = kalman.innovation_covariance(prior.covariance, H.reshape(3 * m, len(prior.covariance)), V)
-    return kalman.nis(reduced.ravel(), S), 3 * m
+    at_prior = window_slam.linearise(prior, innovation.ids, innovation.measured, settings)[0]
+    n = len(prior.ids)
+    H = np.zeros((len(innovation.ids), 3, len(prior.covariance)))
+    for j, row in enumerate(at_prior.rows):
+        H[j, :, 3 * row : 3 * row + 3] = at_prior.H_landmark[j]
+    H[:, :, 3 * n : 3 * n + 6] = at_prior.H_pose
+    return metrics.frame_nis(innovation.residual, H, prior.covariance, settings.noise.sigma_px)
 
 
 class History:
@@ -43,8 +38,8 @@ class History:
 
     def __init__(self, steps, drive, noise, error_state):
         self.steps = tuple(steps)
-        sensors = window_slam.UpdateSettings(drive.camera, noise, error_state, threshold=np.inf, min_disparity=0.0)
-        nis, numbers = np.transpose([frame_nis(step, sensors) for step in self.steps])
+        settings = window_slam.UpdateSettings(drive.camera, noise, error_state, threshold=np.inf, min_disparity=0.0)
+        nis, numbers = np.transpose([frame_nis(step, settings) for step in self.steps])
         self.numbers = np.where(numbers > 0, numbers, np.nan)
         self.nis = np.concatenate([[np.nan], np.repeat(nis / self.numbers, 2)[:-1]])
         beliefs = [belief for step in self.steps for belief in (step.prior, step.posterior)]

@@ -4,7 +4,7 @@ import numpy as np
 from matplotlib.collections import LineCollection
 from matplotlib.patches import Polygon
 
-from .. import kalman, se3
+from .. import kalman, metrics, se3, stereo
 from ..plots import TWO_SIDED_95
 from ..plots.style import COLOURS, ellipse_points
 from .canvas import StepPicture
@@ -20,11 +20,9 @@ def linearise(prior, innovation, camera, landmarks):
 
 
 def frame_nis(prior, innovation, camera, noise, landmarks):
-    """NIS of a whole frame (its measurements share the error of the pose), and how many numbers it sums."""
-    n = 4 * len(innovation.ids)
-    H = linearise(prior, innovation, camera, landmarks).reshape(n, 6)
-    S = kalman.innovation_covariance(prior.covariance, H, noise.sigma_px**2 * np.eye(n))
-    return kalman.nis(innovation.residual.ravel(), S), n
+    """NIS of a whole frame and its degrees of freedom, see `metrics.frame_nis`."""
+    H = linearise(prior, innovation, camera, landmarks)[:, stereo.ROWS]
+    return metrics.frame_nis(innovation.residual, H, prior.covariance, noise.sigma_px)
 
 
 def pulls(prior, innovation, camera, noise, landmarks):

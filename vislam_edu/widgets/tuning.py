@@ -86,7 +86,8 @@ class TuningPicture(Picture):
         noise = Noise(sigma_v, sigma_omega, sigma_px, covariance, self.noise.landmark_prior)
         error_state = RightInvariant() if invariant else RightPerturbation()
         process_frame = window_slam.as_report if report_birth else window_slam.correlated
-        steps = list(window_slam.run(self.drive, noise, error_state, process_frame=process_frame, gate=1, world_T_imu=self.world_T_imu))
+        steps = list(window_slam.run(self.drive, noise, error_state, process_frame=process_frame, gate=1,
+                                     world_T_imu=self.world_T_imu))
         poses = np.array([step.posterior.world_T_imu for step in steps])
         claimed = np.array([step.posterior.pose_covariance for step in steps])
         right = np.array([right_pose_covariance(step.posterior, error_state) for step in steps])
