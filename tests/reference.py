@@ -1,7 +1,6 @@
 """Pieces of the filters in plain loops, from numpy and `scipy.linalg.expm` alone, to compare the package with."""
 
 import numpy as np
-from scipy.linalg import expm
 
 
 def hat3(a):

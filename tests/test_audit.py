@@ -11,6 +11,7 @@ from vislam_edu import recordings, se3, simulate
 from vislam_edu.audit import audit, cures, imu_alignment, track_health, visual_odometry
 from vislam_edu.cli import main
 from vislam_edu.simulate import faults
+from vislam_edu.stereo import StereoCamera
 
 SEEDS = (11, 12)
 
@@ -66,7 +67,7 @@ def test_clean_drives_of_other_noise_raise_no_alarm(noise):
 
 def test_clean_drives_with_other_mounting_and_reading():
     camera = simulate.kitti_camera()
-    upside_down = simulate.StereoCamera(camera.K, 0.3, camera.cam_T_imu @ se3.exp(np.array([0.5, -2, 1, 0.3, 2, -1])))
+    upside_down = StereoCamera(camera.K, 0.3, camera.cam_T_imu @ se3.exp(np.array([0.5, -2, 1, 0.3, 2, -1])))
     drive = street(3, camera=upside_down)
     assert not audit(drive).findings
     assert not audit(faults.delay_imu(drive, 1).replace(imu_sample="k+1")).findings
@@ -92,7 +93,7 @@ def test_turned_axes():
     quarter = np.eye(4)
     quarter[:3, :3] = [[0, 1, 0], [-1, 0, 0], [0, 0, 1]]
     drive = street(11)
-    camera = simulate.StereoCamera(drive.camera.K, drive.camera.baseline, drive.camera.cam_T_imu @ quarter)
+    camera = StereoCamera(drive.camera.K, drive.camera.baseline, drive.camera.cam_T_imu @ quarter)
     report = found_and_cured(drive.replace(camera=camera), "IMU axes")
     np.testing.assert_allclose(report.cured().camera.cam_T_imu, drive.camera.cam_T_imu, atol=1e-12)
 

@@ -266,9 +266,11 @@ def test_nis_of_a_frame_is_that_of_its_joint_gaussian(drive, localised):
         H = drive.camera.pose_jacobian(step.prior.world_T_imu, drive.true_landmarks[step.innovation.ids]).reshape(-1, 6)
         gaussian = multivariate_normal(cov=H @ step.prior.covariance @ H.T + NOISE.sigma_px**2 * np.eye(len(H)))
         r = step.innovation.residual.ravel()
-        expected = 2 * (gaussian.logpdf(0 * r) - gaussian.logpdf(r))
+        four = 2 * (gaussian.logpdf(0 * r) - gaussian.logpdf(r))
+        rows = step.innovation.residual
+        expected = four - np.sum((rows[:, 1] - rows[:, 3]) ** 2) / (2 * NOISE.sigma_px**2)  # v_left - v_right: noise
         localised.draw(2 * k + 1)
-        assert localised.time.lines[0].get_ydata()[-1] * len(r) == pytest.approx(expected, rel=1e-6)
+        assert localised.time.lines[0].get_ydata()[-1] * 3 * len(rows) == pytest.approx(expected, rel=1e-6)
 
 
 def test_magnified_pose_shows_the_truth_relative_to_the_prediction(drive, localised):

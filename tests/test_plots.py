@@ -148,6 +148,7 @@ def shell(monkeypatch):
 def test_a_notebook_stores_a_figure_without_versions_and_with_its_alternative_text(shell):
     from IPython.core.pylabtools import print_figure
 
+    style.use()
     figure, axes = plots.new_figure()
     axes.plot([0, 1], label="a line")
     plots.finish(figure, "Found: 1")

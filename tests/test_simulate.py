@@ -5,7 +5,7 @@ import pytest
 from scipy.stats import chi2
 
 from vislam_edu import recordings, se3, simulate
-from vislam_edu.simulate import streets
+from vislam_edu.simulate import drives, streets
 
 
 @pytest.fixture(scope="module")
@@ -218,6 +218,6 @@ def test_first_steps_is_small_enough_to_watch():
 
 
 def test_write_makes_loadable_files(tmp_path):
-    paths = simulate.write(tmp_path / "new")
+    paths = drives.write(tmp_path / "new")
     assert [p.name for p in paths] == ["street_loop.npz", "first_steps.npz"]
     assert [recordings.load(p).n_frames for p in paths] == [500, 60]

@@ -140,12 +140,10 @@ class Report:
             },
         }  # fmt: skip
 
+    @style.styled
     def figure(self):
         """A matplotlib Figure: gyro against cameras, timing, tracks in view with copy frames, disparities."""
-        with style.context():
-            return self._draw(style.Figure(figsize=(8, 8)))
-
-    def _draw(self, figure):
+        figure = style.Figure(figsize=(8, 8))
         since_start = self.drive.times - self.drive.times[0]
         axes = figure.subplots(3, 2)
         for i, ax in enumerate(axes[:, 0]):

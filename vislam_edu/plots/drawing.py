@@ -92,6 +92,7 @@ def inside(view, points):
 # --- artists ----------------------------------------------------------------------------------------------
 
 
+@style.styled
 def new_map(view):
     """Figure and equal-axis map for a view (x_min, x_max, y_min, y_max), m."""
     x0, x1, y0, y1 = view
@@ -101,14 +102,15 @@ def new_map(view):
     return figure, axes
 
 
+@style.styled
 def new_figure(height=3.0):
     """Figure of the series' width and its one axes, in the series' style. height : inches, of the axes."""
-    with style.context():
-        figure = style.Figure(figsize=(WIDTH, height))
-        figure.set_layout_engine("none")
-        return figure, figure.add_axes((_AXES_LEFT / WIDTH, 0, _AXES_WIDTH / WIDTH, 1))
+    figure = style.Figure(figsize=(WIDTH, height))
+    figure.set_layout_engine("none")
+    return figure, figure.add_axes((_AXES_LEFT / WIDTH, 0, _AXES_WIDTH / WIDTH, 1))
 
 
+@style.styled
 def finish(figure, title):
     """Title above the axes and legend below them, where neither can hide data; the figure grows to hold both.
 
@@ -192,6 +194,7 @@ def draw_ellipses(axes, means, covariances, colour, label="95 % ellipses"):
 # --- figures that any chapter can use ---------------------------------------------------------------------
 
 
+@style.styled
 def trajectories(drive, estimates, title=""):
     """Paths of several methods on one map, each with 95 % ellipses; the truth in black where there is one.
 
@@ -208,6 +211,7 @@ def trajectories(drive, estimates, title=""):
     return finish(figure, title)
 
 
+@style.styled
 def heading_band(drive, trajectory, method="dead_reckoning"):
     """How wrong the heading is, and how wrong it claims to be: error over time and a 95 % band.
 

@@ -12,6 +12,7 @@ MARGIN = 30.0  # m of map around the path
 ELLIPSES = 60  # at most as many landmarks get an ellipse: all of them would hide each other
 
 
+@style.styled
 def initial_trajectory(result):
     """Figure 1: the IMU alone."""
     estimate = result.dead_reckoning
@@ -23,6 +24,7 @@ def initial_trajectory(result):
     return drawing.trajectories(result.drive, {"dead_reckoning": estimate}, title)
 
 
+@style.styled
 def initial_landmarks(result):
     """Figure 2: each landmark where its first good stereo view puts it, seen from the dead-reckoned pose."""
     found = np.count_nonzero(result.initial.seen)
@@ -30,6 +32,7 @@ def initial_landmarks(result):
     return _one_map(result, result.initial, "dead_reckoning", "dead_reckoning", title)
 
 
+@style.styled
 def mapped_landmarks(result):
     """Figure 3: the landmark EKF on dead-reckoned poses, which it takes for the truth."""
     mapped = result.mapped
@@ -39,6 +42,7 @@ def mapped_landmarks(result):
     return _one_map(result, mapped.map, "mapping", "dead_reckoning", title)
 
 
+@style.styled
 def initial_and_mapped_landmarks(result):
     """Figure 4: what the landmark EKF changed."""
     title = (f"The mapping EKF moves a landmark by {_median_move(result.initial, result.mapped.map):.1f} m "
@@ -47,6 +51,7 @@ def initial_and_mapped_landmarks(result):
     return _several_maps(result, maps, {"dead_reckoning": result.dead_reckoning}, title)
 
 
+@style.styled
 def slam_landmarks(result):
     """Figure 5: landmarks and path of the joint filter."""
     title = (f"SLAM places {np.count_nonzero(result.slam.map.seen)} landmarks; its gate keeps "
@@ -54,6 +59,7 @@ def slam_landmarks(result):
     return _one_map(result, result.slam.map, result.slam.method, result.slam.method, title)
 
 
+@style.styled
 def both_trajectories(result):
     """Figure 6: the path before and after the cameras are heard."""
     estimates = {"dead_reckoning": result.dead_reckoning, result.slam.method: result.slam.trajectory}
@@ -67,6 +73,7 @@ def both_trajectories(result):
     return drawing.trajectories(result.drive, estimates, title)
 
 
+@style.styled
 def all_landmarks(result):
     """Figure 7: the three maps together."""
     moved = _median_move(result.mapped.map, result.slam.map)

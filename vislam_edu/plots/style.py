@@ -108,12 +108,21 @@ def context():
     return rc_context(_RC)
 
 
-class Figure(MatplotlibFigure):
-    """A figure that is drawn in the series' style whenever that is, for tick labels are formatted when it is saved."""
+def styled(draw):
+    """Decorator of a function that draws: it runs in the series' style, whatever is set outside."""
+    return context()(draw)
 
+
+class Figure(MatplotlibFigure):
+    """A figure that is measured and drawn in the series' style: tick labels are formatted when it is saved."""
+
+    @styled
     def draw(self, renderer) -> None:
-        with context():
-            super().draw(renderer)
+        super().draw(renderer)
+
+    @styled
+    def get_tightbbox(self, renderer=None, *, bbox_extra_artists=None):
+        return super().get_tightbbox(renderer, bbox_extra_artists=bbox_extra_artists)
 
 
 def _ipython():
