@@ -65,15 +65,15 @@ def test_the_update_is_the_least_squares_estimate(belief):
     """argmin |x|^2_P + |r - H x|^2_V in information form, and its covariance, without a Kalman gain."""
     drive, prior = belief
     ids, n = prior.ids[[2, 0]], len(prior.ids)
-    predicted, _ = drive.camera.observe(prior.world_T_imu, prior.landmarks[[2, 0]])
-    pixels = predicted + RNG.normal(size=(2, 4))
+    pixels, _ = drive.camera.observe(prior.world_T_imu, prior.landmarks[[2, 0]])
+    pixels = pixels + RNG.normal(size=(2, 4))
     posterior, innovation = ekf_slam.update(prior, ids, pixels, drive.camera, NOISE, np.inf)
     H = np.zeros((8, 3 * n + 6))
     for i, j in enumerate((2, 0)):
         _, _, H_m, H_T = reference.project(drive.camera, prior.world_T_imu, prior.landmarks[j])
         H[4 * i:4 * i + 4, 3 * j:3 * j + 3], H[4 * i:4 * i + 4, -6:] = H_m, H_T
     information = np.linalg.inv(prior.covariance) + H.T @ H / NOISE.sigma_px**2
-    delta = np.linalg.solve(information, H.T @ (pixels - predicted).ravel() / NOISE.sigma_px**2)
+    delta = np.linalg.solve(information, H.T @ innovation.residual.ravel() / NOISE.sigma_px**2)
     T, m = moved(prior, delta)
     np.testing.assert_allclose(posterior.world_T_imu, T, atol=1e-8)
     np.testing.assert_allclose(posterior.landmarks, m, atol=1e-7)

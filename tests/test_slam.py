@@ -5,6 +5,7 @@ import itertools
 import numpy as np
 import pytest
 import reference
+from scipy.linalg import expm
 
 from vislam_edu import blockwise, ekf_slam, simulate, window_slam
 from vislam_edu.error_state import RightInvariant, RightPerturbation
@@ -122,7 +123,7 @@ def test_update_shrinks_and_prediction_grows(small):
 def without_noise(step, drive):
     """F Sigma F^T with F from expm: the pose covariance one frame later if the IMU were perfect."""
     k = step.k
-    F = reference.expm(-drive.taus[k] * reference.curly(drive.step_twists[k]))
+    F = expm(-drive.taus[k] * reference.curly(drive.step_twists[k]))
     return F @ step.posterior.pose_covariance @ F.T
 
 

@@ -8,7 +8,7 @@ from numerical import central_difference
 from numpy.testing import assert_allclose
 from scipy.stats import chi2
 
-from vislam_edu import se3, stereo
+from vislam_edu import se3, simulate, stereo
 
 K = np.array([[552.5, 0.0, 682.0], [0.0, 548.0, 238.5], [0.0, 0.0, 1.0]])  # f_u and f_v differ on purpose
 BASELINE = 0.6
@@ -347,3 +347,18 @@ def test_a_batch_of_poses_is_a_loop():
     for method in (CAMERA.landmark_jacobian, CAMERA.pose_jacobian, CAMERA.to_cam, CAMERA.to_world):
         looped = [method(T, m) for T, m in zip(poses, landmarks, strict=True)]
         assert_allclose(method(poses, landmarks), looped, rtol=1e-12, atol=1e-9)
+
+
+def test_second_order_is_half_the_trace_of_the_second_derivative_times_the_covariance():
+    camera, rng = simulate.kitti_camera(), np.random.default_rng(4)
+    for point in ([3.0, -1.0, 20.0], [-8.0, 0.5, 9.0], [0.2, 1.0, 60.0]):
+        A = rng.normal(size=(3, 3)) * [[0.1], [0.1], [0.5]]
+        C, step = A @ A.T, 1e-2
+        expected = np.zeros(4)
+        for i in range(3):
+            for j in range(3):
+                e, d = step * np.eye(3)[i], step * np.eye(3)[j]
+                corners = camera.project(np.array(point) + [e + d, e - d, -e + d, -e - d])[0]
+                expected += C[i, j] / 2 * (corners[0] - corners[1] - corners[2] + corners[3]) / (4 * step**2)
+        J = camera.projection_jacobian(np.array(point))[stereo.ROWS, :3]
+        np.testing.assert_allclose(camera.second_order(np.array(point), J @ C @ J.T), expected, rtol=1e-4, atol=1e-7)

@@ -43,16 +43,20 @@ def update(prior: Belief, ids: np.ndarray, pixels: np.ndarray, settings: UpdateS
     """
     if len(ids) == 0:
         return prior, kalman.NO_INNOVATION
-    innovation, linearised = window_slam.compute_innovation(prior, ids, pixels, settings)
+    innovation, H = window_slam.compute_innovation(prior, ids, pixels, settings)
+
+    def updated(chosen: np.ndarray) -> Belief:
+        return window_slam.apply_update(prior, H.only(chosen), innovation.residual[chosen], settings)
+
     passed = innovation.accepted
-    kept, posterior = passed, window_slam.apply_update(prior, linearised, passed, settings)
+    kept, posterior = passed, updated(passed)
     for _ in range(ROUNDS):
         agreeing = passed.copy()
         distance = after_fit(posterior, ids[passed], pixels[passed], kept[passed], settings)
         agreeing[passed] = distance <= settings.threshold
         if not agreeing.any() or np.array_equal(agreeing, kept):
             break
-        kept, posterior = agreeing, window_slam.apply_update(prior, linearised, agreeing, settings)
+        kept, posterior = agreeing, updated(agreeing)
     return posterior, replace(innovation, accepted=kept)
 
 

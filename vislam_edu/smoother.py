@@ -55,8 +55,8 @@ def _undo_update(lam: np.ndarray, Lam: np.ndarray, step: Step,
     ids = step.innovation.ids[accepted]
     if len(ids) == 0:
         return lam, Lam
-    at_prior = window_slam.linearise(prior, ids, step.innovation.measured[accepted], settings)[0]
-    H = at_prior.rows, at_prior.H_landmark, at_prior.H_pose, len(prior.ids)
+    H = window_slam.linearise(prior, ids, settings)[0].blocks(len(prior.ids))
+    residual = stereo.reduce_rows(step.innovation.residual[accepted])
     HP = blockwise.times_H(prior.covariance, *H)
     S = blockwise.times_H(np.ascontiguousarray(HP.T), *H)
     S[np.diag_indices(len(S))] += np.tile(settings.noise.sigma_px**2 * stereo.ROW_VARIANCE, len(ids))
@@ -69,7 +69,7 @@ def _undo_update(lam: np.ndarray, Lam: np.ndarray, step: Step,
         return blockwise.times_HT(X, *H, len(lam))
 
     Y = solve(HP)  # K = Y^T L^-1
-    w = solve(solve(at_prior.residual.reshape(-1, 1)) - Y @ lam, "T")
+    w = solve(solve(residual.reshape(-1, 1)) - Y @ lam, "T")
     Z = Y @ Lam
     M = solve(Z, "T")  # K^T Lambda
     inner = solve(solve(Z @ Y.T + np.eye(len(L)), "T").T, "T")  # K^T Lambda K + S^-1, symmetric

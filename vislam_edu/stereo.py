@@ -209,6 +209,23 @@ class StereoCamera:
         J = self.projection_jacobian(se3.transform(self.cam_T_imu, s)) @ self.cam_T_imu
         return -J @ se3.odot(s)
 
+    def second_order(self, points_cam: np.ndarray, explained: np.ndarray) -> np.ndarray:
+        """How far the mean of the pixels lies from the pixels of the mean, for an uncertain point: tr(h'' C) / 2.
+
+        points_cam (..., 3), m, in the camera frame: the mean. explained (..., 3, 3), px^2: the covariance of
+        [u_left, v, u_right] that the uncertainty of the point makes, to first order, which fixes the covariance C
+        of the point in the camera frame. Returns (..., 4), px; for u_left it is f / z^2 (x / z C_zz - C_xz).
+        Source: Bar-Shalom, Li, Kirubarajan, section 10.3.2 (the second-order EKF's predicted measurement).
+        """
+        q, _ = _homogeneous(points_cam)
+        to_point = np.linalg.inv((self.K_s @ dpi_dq(q))[..., ROWS, :3])
+        C = to_point @ explained @ to_point.mT
+        x, y, z = np.moveaxis(q[..., :3], -1, 0)
+        beside = np.stack([x, y, x - self.baseline, y], axis=-1)
+        C_iz = C[..., [0, 1, 0, 1], 2]
+        f = self.K[[0, 1, 0, 1], [0, 1, 0, 1]]
+        return f / z[..., None] ** 2 * (beside / z[..., None] * C[..., 2:, 2] - C_iz)
+
     # Pixels to points
 
     def triangulate(self, pixels: np.ndarray, min_disparity: float = 0.0) -> tuple[np.ndarray, np.ndarray]:

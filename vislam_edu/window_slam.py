@@ -60,55 +60,55 @@ def contains(sorted_ids: np.ndarray, ids: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class Linearised:
-    """m measurements against a prior: H by blocks and residuals, three numbers [u_left, v, u_right] a measurement.
+    """H of m measurements by blocks, three rows [u_left, v, u_right] each.
 
     rows : (m,), where their landmarks stand in the window. H_landmark : (m, 3, 3). H_pose : (m, 3, 6).
-    residual : (m, 3), px.
     """
 
     rows: np.ndarray
     H_landmark: np.ndarray
     H_pose: np.ndarray
-    residual: np.ndarray
+
+    def only(self, accepted: np.ndarray) -> "Linearised":
+        """Those that are accepted, (m,) bool."""
+        return Linearised(self.rows[accepted], self.H_landmark[accepted], self.H_pose[accepted])
+
+    def blocks(self, n: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
+        """What the functions of `blockwise` take, for n landmarks in the state."""
+        return self.rows, self.H_landmark, self.H_pose, n
 
 
-def linearise(belief: Belief, ids: np.ndarray, pixels: np.ndarray,
-              settings: UpdateSettings) -> tuple[Linearised, np.ndarray, np.ndarray]:
-    """The landmarks `ids` (m,), all in the window, against their pixels (m, 4).
-
-    Returns the `Linearised`, the predicted pixels (m, 4) and in_front (m,) bool.
-    """
+def linearise(belief: Belief, ids: np.ndarray, settings: UpdateSettings) -> tuple[Linearised, np.ndarray]:
+    """H of the landmarks `ids` (m,), all in the window, and where they are, (m, 3), m, in the camera frame."""
     rows = np.searchsorted(belief.ids, ids)
     landmarks = belief.landmarks[rows]
     points = settings.camera.to_cam(belief.world_T_imu, landmarks)
-    predicted, in_front = settings.camera.project(points)
     J = settings.camera.measurement_jacobian(points)[:, stereo.ROWS]
-    H_landmark, H_pose = settings.error_state.jacobians(belief.world_T_imu, landmarks, J)
-    return Linearised(rows, H_landmark, H_pose, stereo.reduce_rows(pixels - predicted)), predicted, in_front
+    return Linearised(rows, *settings.error_state.jacobians(belief.world_T_imu, landmarks, J)), points
 
 
 def compute_innovation(prior: Belief, ids: np.ndarray, pixels: np.ndarray,
                        settings: UpdateSettings) -> tuple[Innovation, Linearised]:
     """The landmarks `ids` (m,), all in the window, against their predictions, gated one by one. pixels : (m, 4)."""
-    linearised, predicted, in_front = linearise(prior, ids, pixels, settings)
-    explained = blockwise.diagonal_blocks(prior.covariance, linearised.rows, linearised.H_landmark, linearised.H_pose,
-                                          len(prior.ids))
+    H, points = linearise(prior, ids, settings)
+    explained = blockwise.diagonal_blocks(prior.covariance, *H.blocks(len(prior.ids)))
+    predicted, in_front = settings.camera.project(points)
+    predicted = predicted + settings.camera.second_order(points, explained)
     S = explained[:, stereo.FOUR_FROM_THREE][:, :, stereo.FOUR_FROM_THREE] + settings.noise.pixel_covariance
     nis = np.where(in_front, kalman.nis(pixels - predicted, S), np.inf)
-    return Innovation(ids, pixels, predicted, S, nis, in_front & (nis <= settings.threshold)), linearised
+    return Innovation(ids, pixels, predicted, S, nis, in_front & (nis <= settings.threshold)), H
 
 
-def apply_update(prior: Belief, linearised: Linearised, accepted: np.ndarray, settings: UpdateSettings) -> Belief:
-    """EKF update of the whole joint belief with the measurements that are accepted, (m,) bool.
+def apply_update(prior: Belief, H: Linearised, residual: np.ndarray, settings: UpdateSettings) -> Belief:
+    """EKF update of the whole joint belief with all the measurements of H; residual : (m, 4), px.
 
     Source: report section 3.3.2, steps 3 to 5.
     """
-    if not accepted.any():
+    if not len(residual):
         return prior
-    variance = np.tile(settings.noise.sigma_px**2 * stereo.ROW_VARIANCE, (accepted.sum(), 1))
-    delta, covariance = blockwise.absorb(
-        prior.covariance, linearised.rows[accepted], linearised.H_landmark[accepted], linearised.H_pose[accepted],
-        len(prior.ids), linearised.residual[accepted], variance)
+    variance = np.tile(settings.noise.sigma_px**2 * stereo.ROW_VARIANCE, (len(residual), 1))
+    delta, covariance = blockwise.absorb(prior.covariance, *H.blocks(len(prior.ids)), stereo.reduce_rows(residual),
+                                         variance)
     return motion.retract(prior, delta, covariance, settings.error_state)
 
 
@@ -116,8 +116,9 @@ def update(prior: Belief, ids: np.ndarray, pixels: np.ndarray, settings: UpdateS
     """EKF update with those landmarks `ids` (m,), all in the window, that the gate lets pass. pixels : (m, 4)."""
     if len(ids) == 0:
         return prior, kalman.NO_INNOVATION
-    innovation, linearised = compute_innovation(prior, ids, pixels, settings)
-    return apply_update(prior, linearised, innovation.accepted, settings), innovation
+    innovation, H = compute_innovation(prior, ids, pixels, settings)
+    good = innovation.accepted
+    return apply_update(prior, H.only(good), innovation.residual[good], settings), innovation
 
 
 def marginalise(belief: Belief, keep: np.ndarray) -> Belief:

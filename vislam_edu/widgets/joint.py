@@ -24,7 +24,7 @@ def correlation(covariance):
 def frame_nis(step, settings):
     """NIS of a whole frame and its degrees of freedom, see `metrics.frame_nis`."""
     innovation, prior = step.innovation, step.prior
-    at_prior = window_slam.linearise(prior, innovation.ids, innovation.measured, settings)[0]
+    at_prior = window_slam.linearise(prior, innovation.ids, settings)[0]
     n = len(prior.ids)
     H = np.zeros((len(innovation.ids), 3, len(prior.covariance)))
     for j, row in enumerate(at_prior.rows):
