@@ -8,7 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from vislam_edu import se3
-from vislam_edu.drive import Drive, DriveError
+from vislam_edu.drive import DriveError
+from vislam_edu.recordings.features import drive_from_features
 from vislam_edu.stereo import StereoCamera
 
 K = np.array([[550.0, 0, 680], [0, 550, 240], [0, 0, 1]])
@@ -17,7 +18,7 @@ CAMERA = StereoCamera(K, 0.6, se3.inverse(se3.pose(IMU_R_CAM, np.array([1.5, 0.1
 
 
 def fields(tracks, n_frames, seed=0, **changes):
-    """What `Drive.from_features` needs; `tracks` holds the first and last frame of each landmark, or None."""
+    """What `drive_from_features` needs; `tracks` holds the first and last frame of each landmark, or None."""
     rng = np.random.default_rng(seed)
     features = np.full((4, len(tracks), n_frames), np.nan)
     for i, track in enumerate(tracks):
@@ -32,7 +33,7 @@ def fields(tracks, n_frames, seed=0, **changes):
 
 
 def small_drive(**changes):
-    return Drive.from_features(**fields([(0, 2), None, (1, 4), (3, 5), (5, 5)], 6, **changes))
+    return drive_from_features(**fields([(0, 2), None, (1, 4), (3, 5), (5, 5)], 6, **changes))
 
 
 def dense(drive):
@@ -46,7 +47,7 @@ def drives(draw):
     frame = st.integers(0, n_frames - 1)
     track = st.none() | st.tuples(frame, frame).map(lambda ends: (min(ends), max(ends)))
     tracks = draw(st.lists(track, max_size=6))
-    return Drive.from_features(**fields(tracks, n_frames, seed=draw(st.integers(0, 999))))
+    return drive_from_features(**fields(tracks, n_frames, seed=draw(st.integers(0, 999))))
 
 
 # the sparse form
@@ -56,7 +57,7 @@ def drives(draw):
 def test_sparse_form_says_what_the_dense_array_says(drive):
     features = drive.features
     seen = ~np.isnan(features[0])
-    again = Drive.from_features(drive.times, drive.twists, features, drive.camera)
+    again = drive_from_features(drive.times, drive.twists, features, drive.camera)
     assert np.array_equal(dense(again), dense(drive))
     assert np.array_equal(drive.visible, seen.sum(axis=0))
     for k in range(drive.n_frames):
@@ -72,14 +73,14 @@ def test_sparse_form_says_what_the_dense_array_says(drive):
 def test_minus_one_and_nan_both_mean_not_seen():
     with_nan = fields([(0, 1), (1, 2)], 3)
     with_minus_one = with_nan | {"features": np.nan_to_num(with_nan["features"], nan=-1.0)}
-    expected = dense(Drive.from_features(**with_nan))
-    assert np.array_equal(dense(Drive.from_features(**with_minus_one)), expected)
+    expected = dense(drive_from_features(**with_nan))
+    assert np.array_equal(dense(drive_from_features(**with_minus_one)), expected)
 
 
 @pytest.mark.parametrize("chunk", [1, 7, 13, 1 << 20])
 def test_conversion_does_not_depend_on_the_chunk(monkeypatch, chunk):
     expected = small_drive()
-    monkeypatch.setattr("vislam_edu.drive._CHUNK", chunk)
+    monkeypatch.setattr("vislam_edu.recordings.features._CHUNK", chunk)
     drive = small_drive()
     assert np.array_equal(drive.landmark, expected.landmark)
     assert np.array_equal(drive.pixels, expected.pixels)
@@ -89,7 +90,7 @@ def test_single_precision_and_whole_pixels_are_read():
     features = np.full((4, 1, 2), -1, dtype=np.int32)
     features[:, 0, 0] = [10, 20, 5, 20]
     for dtype in (np.int32, np.float32):
-        drive = Drive.from_features([0, 1], np.zeros((2, 6)), features.astype(dtype), CAMERA)
+        drive = drive_from_features([0, 1], np.zeros((2, 6)), features.astype(dtype), CAMERA)
         assert drive.pixels.tolist() == [[10.0, 20.0, 5.0, 20.0]]
 
 
@@ -289,25 +290,25 @@ def test_broken_fields_are_named(case):
 def test_a_track_that_comes_back_is_named():
     features = put(fields([(0, 5)] * 3, 6)["features"], (slice(None), 1, slice(2, 4)), np.nan)
     with pytest.raises(DriveError, match="landmark 1 is seen in frame 1, then not, and again in frame 4"):
-        Drive.from_features(GOOD.times, GOOD.twists, features, CAMERA)
+        drive_from_features(GOOD.times, GOOD.twists, features, CAMERA)
 
 
 @pytest.mark.parametrize("missing", [-1.0, np.nan])
 @pytest.mark.parametrize("chunk", [1, 1 << 20])
 def test_an_observation_with_some_numbers_missing_is_named(monkeypatch, missing, chunk):
-    monkeypatch.setattr("vislam_edu.drive._CHUNK", chunk)
+    monkeypatch.setattr("vislam_edu.recordings.features._CHUNK", chunk)
     features = put(fields([(0, 5)] * 3, 6)["features"], ([2, 3], 2, 4), missing)
     with pytest.raises(DriveError, match=re.escape("features: landmark 2, frame 4 is [")):
-        Drive.from_features(GOOD.times, GOOD.twists, features, CAMERA)
+        drive_from_features(GOOD.times, GOOD.twists, features, CAMERA)
 
 
 def test_an_infinite_pixel_is_named():
     features = put(fields([(0, 5)] * 3, 6)["features"], (1, 2, 4), np.inf)
     with pytest.raises(DriveError, match=r"features: landmark 2, frame 4 is .*inf.* expected finite"):
-        Drive.from_features(GOOD.times, GOOD.twists, features, CAMERA)
+        drive_from_features(GOOD.times, GOOD.twists, features, CAMERA)
 
 
 @pytest.mark.parametrize("shape", [(4, 6), (3, 2, 6), (4, 2, 5)], ids=str)
 def test_features_of_the_wrong_shape(shape):
     with pytest.raises(DriveError, match=re.escape(f"features: shape {shape}, expected (4")):
-        Drive.from_features(GOOD.times, GOOD.twists, np.zeros(shape), CAMERA)
+        drive_from_features(GOOD.times, GOOD.twists, np.zeros(shape), CAMERA)

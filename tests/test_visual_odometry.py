@@ -6,7 +6,7 @@ from scipy.stats import chi2
 
 from vislam_edu import recordings, se3, simulate
 from vislam_edu.audit import cures, visual_odometry
-from vislam_edu.drive import Drive
+from vislam_edu.recordings.features import drive_from_features
 
 FRAMES = 200
 
@@ -114,7 +114,7 @@ def test_a_turn_needs_no_good_start():
     pixels, in_front = camera.project(se3.transform(se3.inverse(world_T_cam)[:, None], landmarks))
     assert in_front.all()
     features = np.moveaxis(pixels + 0.5 * rng.normal(size=pixels.shape), (2, 1, 0), (0, 1, 2))
-    drive = Drive.from_features([0, 0.1], np.zeros((2, 6)), features, camera)
+    drive = drive_from_features([0, 0.1], np.zeros((2, 6)), features, camera)
     motions = visual_odometry.estimate(drive)
     expected = se3.exp(np.array([0.2, 0, 2.0, 0.02, 0.3, -0.05]))
     error = se3.log(se3.inverse(expected) @ motions.motion)

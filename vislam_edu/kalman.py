@@ -1,6 +1,10 @@
 """The Gaussian algebra of a Kalman filter. Nothing here knows what a camera or a pose is.
 
 Everything broadcasts over leading axes: one call updates one state, or thousands of independent ones.
+
+>>> import numpy as np
+>>> update(np.array([[4.0]]), H=np.array([[1.0]]), V=np.array([[1.0]]), residual=np.array([5.0]))
+(array([4.]), array([[0.8]]))
 """
 
 from collections.abc import Callable

@@ -1,4 +1,9 @@
-"""How uncertain the sensors and the start are: everything the report calls W, V and Sigma_0."""
+"""How uncertain the sensors and the start are: everything the report calls W, V and Sigma_0.
+
+>>> from vislam_edu import Noise
+>>> Noise(sigma_omega=0.01).process_covariance(tau=0.1)[5, 5].round(9)
+np.float64(1e-06)
+"""
 
 from dataclasses import dataclass, field
 

@@ -1,4 +1,9 @@
-"""Where the car is, from the IMU alone and against a map that is known: the Gaussian on SE(3) at work."""
+"""Where the car is, from the IMU alone and against a map that is known: the Gaussian on SE(3) at work.
+
+>>> from vislam_edu import Noise, load, odometry
+>>> odometry.dead_reckon(load("first_steps"), Noise()).world_T_imu.shape
+(60, 4, 4)
+"""
 
 from collections.abc import Iterator
 from dataclasses import dataclass

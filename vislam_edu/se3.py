@@ -10,6 +10,12 @@ must be one.
 
 Sources: report section 3.3.1; Barfoot, State Estimation for Robotics, chapter 7 (which names the same
 operators).
+
+>>> import numpy as np
+>>> from vislam_edu import se3
+>>> T = se3.exp(np.array([1.0, 0, 0, 0, 0, np.pi / 2]))
+>>> np.allclose(se3.log(T), [1, 0, 0, 0, 0, np.pi / 2])
+True
 """
 
 from math import factorial

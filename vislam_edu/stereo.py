@@ -11,6 +11,11 @@ Points that no camera can see (at or behind the image plane, disparity not posit
 in a mask beside a finite placeholder, `PLACEHOLDER`: a point one metre along the optical axis.
 
 Source: report section 3.2.
+
+>>> from vislam_edu import load
+>>> camera = load("first_steps").camera
+>>> camera.triangulate(camera.project([1.0, 0.5, 10.0])[0])[0].round(6).tolist()
+[1.0, 0.5, 10.0]
 """
 
 from dataclasses import dataclass

@@ -27,5 +27,5 @@ from .drawing import (
 )
 
 __all__ = ["TWO_SIDED_95", "WIDTH", "draw_ellipses", "draw_landmarks", "draw_position_ellipses", "draw_trajectory",
-           "draw_truth", "finish", "heading", "heading_band", "heading_error", "heading_sigma", "inside", "new_figure", "new_map",
-           "position_covariance", "position_outlines", "trajectories", "view_around", "view_with_outlines"]
+           "draw_truth", "finish", "heading", "heading_band", "heading_error", "heading_sigma", "inside", "new_figure",
+           "new_map", "position_covariance", "position_outlines", "trajectories", "view_around", "view_with_outlines"]

@@ -11,6 +11,7 @@ from .. import se3
 from ..drive import Drive, DriveError
 from ..stereo import StereoCamera
 from . import files
+from .features import drive_from_features
 
 _FORMAT = "vislam_edu drive 1"
 _PROJECT = Path(__file__).resolve().parents[2]
@@ -157,7 +158,7 @@ def _own_drive(fields):
 
 
 def _dense_drive(times, twists, fields, camera, name):
-    drive = Drive.from_features(times, twists, fields.numbers("features"), camera, **name)
+    drive = drive_from_features(times, twists, fields.numbers("features"), camera, **name)
     if not drive.landmark.size:
         raise DriveError("features: the recording is empty, no landmark is seen in any frame")
     return drive

@@ -1,0 +1,57 @@
+"""The course's dense array of tracks, (4, M, T), made into a `Drive`, which keeps only what was seen."""
+
+from typing import Any
+
+import numpy as np
+
+from ..drive import Drive, DriveError
+from ..stereo import StereoCamera
+
+_CHUNK = 1 << 20  # entries of the dense array looked at in one go: 32 MB
+
+
+def drive_from_features(times: np.ndarray, twists: np.ndarray, features: np.ndarray, camera: StereoCamera,
+                        **fields: Any) -> Drive:
+    """A drive from the course's dense array.
+
+    features : (4, M, T) px; an observation is missing when all its four numbers are NaN or all are -1.
+    Other arguments as for `Drive`. The array is read in pieces, so little memory is needed beyond it.
+    Raises DriveError also for an observation of which only some of the four numbers are missing.
+    """
+    features = np.asarray(features)
+    n_frames = np.size(times)
+    if features.ndim != 3 or features.shape[0] != 4 or features.shape[2] != n_frames:
+        raise DriveError(f"features: shape {features.shape}, expected (4, landmarks, {n_frames}) "
+                         f"for {n_frames} frames")
+    if features.dtype.kind not in "fiu":
+        raise DriveError(f"features: holds {features.dtype}, expected numbers")
+    frame, landmark, pixels = _sparse(features)
+    return Drive(times=times, twists=twists, camera=camera, landmark=landmark, pixels=pixels,
+               frame_start=np.searchsorted(frame, np.arange(n_frames + 1)),
+               n_landmarks=features.shape[1], **fields)
+
+
+def _sparse(features: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Frame (N,), landmark (N,) and pixels (N, 4) of all observations, by frame, then by landmark."""
+    _, n_landmarks, n_frames = features.shape
+    step = max(1, _CHUNK // max(1, n_frames))
+    found = [(np.empty(0, int), np.empty(0, int), np.empty((0, 4)))]
+    for start in range(0, n_landmarks, step):
+        part = features[:, start:start + step]
+        absent, unset = np.isnan(part), part == -1
+        seen = ~(absent.all(axis=0) | unset.all(axis=0))
+        partial = seen & (absent | unset).any(axis=0)
+        if partial.any():
+            i, k = np.argwhere(partial)[0]
+            raise DriveError(f"features: landmark {start + i}, frame {k} is {part[:, i, k].tolist()}: "
+                             f"only some of the four are missing; all must be -1 where nothing is seen")
+        i, k = np.nonzero(seen)
+        pixels = part[:, i, k].T.astype(float)
+        if not np.isfinite(pixels).all():
+            row = np.argwhere(~np.isfinite(pixels))[0, 0]
+            raise DriveError(f"features: landmark {start + i[row]}, frame {k[row]} is "
+                             f"{pixels[row].tolist()}, expected finite numbers")
+        found.append((k, start + i, pixels))
+    frame, landmark, pixels = (np.concatenate(parts) for parts in zip(*found))
+    order = np.argsort(frame, kind="stable")  # stable: landmarks stay ascending within a frame
+    return frame[order], landmark[order], pixels[order]
