@@ -3,16 +3,17 @@
     solution = batch.solve(batch.Problem(drive, noise))
     solution.estimate.world_T_imu, solution.cost
 
-The report states this objective (section 2.3). A filter passes every measurement once; here each is linearised again at
-every iteration. The unknowns are the poses T_k, the landmarks m_j and four constants of the IMU: its gyro bias b and the
-scale s of its speed. Each residual is divided by its standard deviation:
+The report states this objective (section 2.3). A filter passes every measurement once; here each is linearised again
+at every iteration. The unknowns are the poses T_k, the landmarks m_j and four constants of the IMU: its gyro bias b and
+the scale s of its speed. Each residual is divided by its standard deviation:
 
     IMU       S xi_k + [0, b] - u_k,   xi_k = log(T_k^-1 T_{k+1})^v / tau_k,   S = diag(s, s, s, 1, 1, 1)
     walk      xi_{k+1} - xi_k          a car cannot change its twist at once (optional)
     prior     log(T_prior^-1 T_0)^v    ties the world down;  b and s - 1
     pixels    h(T_k, m_j) - z_kj       three numbers: u_left, v, u_right
 
-The error of a pose is a right perturbation, T = T_hat exp(epsilon^). Columns are ordered [poses 6T, landmarks 3M, IMU 4].
+The error of a pose is a right perturbation, T = T_hat exp(epsilon^). Columns are ordered [poses 6T, landmarks 3M,
+IMU 4].
 
 Sources: report section 2.3; Barfoot, State Estimation for Robotics (batch estimation, bundle adjustment, Schur
 complement); Triggs et al., Bundle adjustment: a modern synthesis, 2000 (robust weights, damping, sparsity).
@@ -26,19 +27,18 @@ from functools import cached_property
 from itertools import accumulate
 
 import numpy as np
-from scipy.linalg import LinAlgError, block_diag, cho_solve_banded, cholesky_banded
-from scipy.sparse import bsr_array, coo_array, csr_array, hstack, vstack
+from scipy.linalg import LinAlgError, cho_solve_banded, cholesky_banded
+from scipy.sparse import bsr_array, csr_array, hstack, vstack
 from scipy.sparse.csgraph import reverse_cuthill_mckee
 
 from . import odometry, se3
 from .drive import Drive
-from .error_state import RightPerturbation
 from .noise import Noise
 from .window_slam import ROW_VARIANCE, ROWS, reduce_rows
 
 BEHIND = 1e4  # squared residual of a landmark that an iteration has put behind the camera: bad, but finite
-ALMOST_NOTHING = 1e-9  # 1/m^2, information about every landmark, so that one without measurements does not divide by 0
-LARGEST_DAMPING = 1e8
+ALMOST_NOTHING = 1e-12  # 1/m^2, information about every landmark: where no camera measured one, nothing divides by 0
+DAMPING = 1e-9, 1e8  # least and most of Levenberg-Marquardt's lambda
 
 Loss = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
 
@@ -140,6 +140,17 @@ class Problem:
         return min(orders, key=lambda rank: np.abs(rank[common.row] - rank[common.col]).max())
 
 
+REAL_TOLERANCE = 1e-3  # robust weights settle slowly, and the path has long stopped moving
+
+
+def of_real_drive(drive: Drive, noise: Noise, scale_sigma: float = 0.0) -> Problem:
+    """The problem of a real car: its twist changes slowly, its gyro has a bias, some tracks are wrong.
+
+    drive : Drive, cured. noise : Noise of the IMU as measured. scale_sigma : 0 where the speed's scale is known.
+    """
+    return Problem(drive, noise, (0.1, 0.015), np.array([0.02, 0.02, 0.02, scale_sigma]), cauchy)
+
+
 def start(problem: Problem, world_T_imu: np.ndarray | None = None) -> Estimate:
     """Where the iterations begin: poses (T, 4, 4), by default dead reckoning, each landmark from its nearest view."""
     drive = problem.drive
@@ -167,7 +178,7 @@ def path_twists(world_T_imu: np.ndarray, taus: np.ndarray) -> tuple[np.ndarray, 
 
 
 def _sparse(n_frames: int, *blocks: np.ndarray) -> bsr_array:
-    """Sparse (6n, 6T): row i holds blocks[0][i] at frame i, blocks[1][i] at frame i + 1, ... blocks : (n, 6, 6) each."""
+    """Sparse (6n, 6T) whose row i holds blocks[0][i] at frame i, blocks[1][i] at frame i + 1, ...; each (n, 6, 6)."""
     n, width = len(blocks[0]), len(blocks)
     columns = np.arange(n)[:, None] + np.arange(width)
     return bsr_array((np.stack(blocks, axis=1).reshape(-1, 6, 6), columns.ravel(), width * np.arange(n + 1)),
@@ -208,8 +219,8 @@ def motion_residuals(problem: Problem, estimate: Estimate) -> tuple[np.ndarray, 
 def pixel_residuals(problem: Problem, estimate: Estimate) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Predicted minus measured pixels, [u_left, v, u_right], divided by their standard deviations.
 
-    Returns r (N, 3), derivatives by the pose (N, 3, 6) and the landmark (N, 3, 3) of each observation, and in_front (N,).
-    Where a landmark is not in front of the camera all three are zero.
+    Returns r (N, 3), derivatives by the pose (N, 3, 6) and the landmark (N, 3, 3) of each observation, and in_front
+    (N,). Where a landmark is not in front of the camera all three are zero.
     """
     drive = problem.drive
     poses, landmarks = estimate.world_T_imu[drive.frame], estimate.landmarks[problem.landmark]
@@ -241,7 +252,7 @@ class Linearised:
     J_landmark: np.ndarray
     r_imu: np.ndarray
 
-    def dense(self) -> tuple[np.ndarray, csr_array]:
+    def whole(self) -> tuple[np.ndarray, csr_array]:
         """Residuals (n,) and their whole sparse Jacobian (n, 6T + 3M), IMU constants taken as known: to look at."""
         problem, N = self.problem, len(self.r_px)
         drive, rows = problem.drive, np.arange(N + 1)
@@ -365,7 +376,7 @@ class Iteration:
 
 
 def iterate(problem: Problem, estimate: Estimate | None = None, damping: float = 1e-4,
-            tolerance: float = 1e-6, most: int = 50) -> Iterator[Iteration]:
+            tolerance: float = 1e-4, most: int = 50) -> Iterator[Iteration]:
     """Levenberg-Marquardt: yields the start, then every step that lowered the cost.
 
     A step that raises the cost, or a matrix that is not positive definite, makes lambda ten times larger and is tried
@@ -377,7 +388,7 @@ def iterate(problem: Problem, estimate: Estimate | None = None, damping: float =
     yield Iteration(estimate, at.cost, damping, 0)
     for _ in range(most):
         normal, tried, before = NormalEquations(at), 0, at.cost
-        while damping < LARGEST_DAMPING:
+        while damping < DAMPING[1]:
             tried += 1
             try:
                 step = Factorised(normal, damping).solve(normal.g[:, None])[:, 0]
@@ -393,7 +404,7 @@ def iterate(problem: Problem, estimate: Estimate | None = None, damping: float =
             return
         estimate = moved
         yield Iteration(estimate, at.cost, damping, tried)
-        damping /= 10
+        damping = max(damping / 10, DAMPING[0])
         if before - at.cost < tolerance * before:
             return
 
@@ -438,9 +449,9 @@ class Solution:
         return columns[rows.ravel()].reshape(n, d, n, d)[np.arange(n), :, np.arange(n)]
 
 
-def solve(problem: Problem, estimate: Estimate | None = None, **options: float) -> Solution:
-    """The estimate of the least cost. estimate, options : see `iterate`."""
-    for n, last in enumerate(iterate(problem, estimate, **options)):  # noqa: B007
+def solve(problem: Problem, estimate: Estimate | None = None, tolerance: float = 1e-4) -> Solution:
+    """The estimate of the least cost. estimate, tolerance : see `iterate`."""
+    for n, last in enumerate(iterate(problem, estimate, tolerance=tolerance)):  # noqa: B007
         pass
     return Solution(problem, last.estimate, last.cost, n)
 
