@@ -3,10 +3,10 @@
     closing = association.LoopClosing(drive, RightInvariant())
     window_slam.run(drive, noise, RightInvariant(), retire=window_slam.retire_none, associate=closing)
 
-A tracker that comes back to a place gives it a new number, so the map holds the place twice. How far apart the two may be
-follows from the joint covariance: S_ij = P_ii + P_jj - P_ij - P_ji, m_i - m_j = 0 expected. Each of several pairs can
-pass its own gate and all of them together still be impossible, because the error of the pose moves all new landmarks
-alike; so pairs are judged together. Pairs that are accepted become a measurement without noise, m_new - m_old = 0, of the
+A tracker that comes back to a place gives it a new number, so the map holds the place twice. How far apart the two may
+be follows from the joint covariance: m_i - m_j has the mean 0 and the covariance S_ij = P_ii + P_jj - P_ij - P_ji. Each
+of several pairs can pass its own gate and all of them together still be impossible, because the error of the pose moves
+all new landmarks alike; so pairs are judged together. Pairs that are accepted become a measurement without noise, m_new - m_old = 0, of the
 whole joint state. The old row then leaves the map; the landmark keeps the new number, which the tracker goes on using.
 
 Sources: Neira, Tardós, Data association in stochastic mapping using the joint compatibility test, 2001; Bell, Cathey, The
@@ -122,8 +122,8 @@ def branch_and_bound(both: Candidates, gate: float = 0.99) -> Iterator[Node]:
     """The tree of joint compatibility, depth first: one level for each new landmark, one branch for each old one.
 
     A branch ends when its pairs do not fit together, or when even with a pair for each landmark that is left it would
-    have fewer than the best. Among sets of equal size the smaller NIS wins. Yields every node; the last one's `best` is
-    the answer.
+    have fewer than the best. Among sets of equal size the smaller NIS wins. Yields every node; the `best` of the last
+    one is the answer.
     Source: Neira, Tardós 2001.
     """
     nis = both.nis()
@@ -196,12 +196,35 @@ def fuse(belief: Belief, pairs: Pairs, error_state: ErrorState, iterations: int 
     return window_slam.marginalise(moved, ~np.isin(moved.ids, [old for _, old in pairs]))
 
 
+def merged(n_landmarks: int, pairs: Pairs) -> np.ndarray:
+    """(M,): for each landmark the first id of the same place, for `batch.Problem`'s `place`. pairs : (new id, old id).
+
+    Pairs chain: if 7 is 4 and 4 is 1, all three are 1. Union-find: each id points to an earlier one of its place, and
+    a place is joined to another at its root.
+    Source: Galler, Fischer, An improved equivalence algorithm, 1964.
+
+    >>> merged(5, [(4, 2), (2, 1)]).tolist()
+    [0, 1, 1, 3, 1]
+    """
+    parent = np.arange(n_landmarks)
+
+    def root(i: int) -> int:
+        while parent[i] != i:
+            i = int(parent[i])
+        return i
+
+    for new, old in pairs:
+        a, b = sorted((root(new), root(old)))
+        parent[b] = a
+    return np.array([root(i) for i in range(n_landmarks)])
+
+
 @dataclass(eq=False)
 class LoopClosing:
     """Looks in each frame for places that the map has twice, and fuses them: for `window_slam.run`'s `associate`.
 
-    New are the landmarks in view that have been seen in `settled` frames and are not fused yet; old those that were last
-    seen `forgotten` frames ago. Nothing of the future is used. `least` pairs must fit together: fewer fit by chance.
+    New are the landmarks in view that have been seen in `settled` frames and are not fused yet; old those that were
+    last seen `forgotten` frames ago. Nothing of the future is used. `least` pairs must fit together: fewer fit by chance.
 
     choose : `joint_compatibility`, or another function of `Candidates` and gate.
     fused : list of (frame, new id, old id), what has been done.
@@ -232,10 +255,9 @@ class LoopClosing:
         return fuse(belief, pairs, self.error_state)
 
     def compatible(self, belief: Belief, new: np.ndarray, old: np.ndarray) -> Candidates:
-        """Only those old landmarks that are near enough to some new one to be compared at all."""
+        """The candidates, without those old landmarks that are too far from every new one to be worth a covariance."""
         at_new, at_old = (belief.landmarks[np.searchsorted(belief.ids, ids)] for ids in (new, old))
-        sigma = np.sqrt(np.trace(self.error_state.world_pose(belief.world_T_imu)[:3] @ belief.pose_covariance
-                                 @ self.error_state.world_pose(belief.world_T_imu)[:3].T))
-        reach = 5 * sigma + 5.0
-        near = np.linalg.norm(at_new[:, None] - at_old, axis=-1).min(axis=0) < reach
+        to_world = self.error_state.world_pose(belief.world_T_imu)[:3]
+        sigma = np.sqrt(np.trace(to_world @ belief.pose_covariance @ to_world.T))
+        near = np.linalg.norm(at_new[:, None] - at_old, axis=-1).min(axis=0) < 5 * sigma + 5.0
         return candidates(belief, new, old[near], self.error_state)

@@ -254,8 +254,9 @@ def returning_loop(seed=0, *, laps=1.25, returning=0.7, **options):
     About eight landmarks in view, 5 to 25 m away; the IMU twice as noisy as usual and the pixels 1.4 times. returning :
     the share of what is detected on known road that was there before. options : of `street_loop`.
     """
-    options = {"speed": 7.0, "loop_length": 300.0, "visible": 8, "depth": (5.0, 25.0), "lane_change": 0.5,
-               "sigma_v": 1.0, "sigma_omega": 0.1, "sigma_px": 0.7 * 2**0.5, "name": "returning loop"} | options
+    options = {"speed": 7.0, "loop_length": 300.0, "visible": 8, "depth": (5.0, 25.0), "mean_life": 100.0,
+               "lane_change": 0.5, "sigma_v": 1.0, "sigma_omega": 0.1, "sigma_px": 0.7 * 2**0.5,
+               "name": "returning loop"} | options
     frames = 1 + round(10 * laps * options["loop_length"] / options["speed"])  # ten a second
     return street_loop(seed, frames=frames, returning=returning, **options)
 
