@@ -75,7 +75,7 @@ function bounds({ runs, truth }) {
   return box;
 }
 
-/** Range of the covariance's colour scale: from below the smallest variance to the largest of all runs. */
+/** Range of the covariance's colour scale: from the smallest variance to the largest of all runs. */
 function covarianceScale(runs) {
   let low = Infinity, high = 0;
   for (const { sigma } of runs) {
@@ -84,7 +84,7 @@ function covarianceScale(runs) {
       high = Math.max(high, s * s);
     }
   }
-  return { low: low / 10, high };
+  return { low, high };
 }
 
 /**
@@ -147,7 +147,7 @@ function rowUnit(run, shot, row) {
 // ------------------------------------------------------------------------------------------------ helpers
 
 /** A number as a reader wants it: three significant digits. */
-const short = (x) => (Number.isFinite(x) ? String(Number(x.toPrecision(3))) : "–");
+const short = (x) => (Number.isFinite(x) ? String(Number(x.toPrecision(3))).replace("-", "−") : "–");
 
 /** 1, 2 or 5 times a power of ten: the largest that is not above x. */
 function niceBelow(x) {
@@ -319,12 +319,20 @@ function drawMap(canvas, look, history, run) {
   return shown;
 }
 
-/** Scale k (px per m) and centre of the map: everything, zoomed and moved as the reader chose, or around the car. */
+/** Side of the square in which the pose is magnified, px. */
+const insetSide = (w) => (w < 330 ? 92 : 124);
+
+/**
+ * Scale k (px per m) and centre of the map: everything, zoomed and moved as the reader chose, or around the car.
+ * Everything fits beside the magnified pose or below it, whichever leaves more.
+ */
 function mapPlace(look, box, w, h, pose) {
-  const fit = Math.min((w - 40) / Math.max(box.x1 - box.x0, 1), (h - 46) / Math.max(box.y1 - box.y0, 1));
-  const k = fit * look.zoom;
+  const side = insetSide(w), width = Math.max(box.x1 - box.x0, 1), height = Math.max(box.y1 - box.y0, 1);
+  const fits = [[side, 0], [0, side]].map(([right, top]) => ({ right, top,
+    k: Math.min((w - right - 40) / width, (h - top - 46) / height) }));
+  const fit = fits[0].k >= fits[1].k ? fits[0] : fits[1], k = fit.k * look.zoom;
   if (look.follow && Number.isFinite(pose[0])) return { k, x: pose[0], y: pose[1] };
-  return { k, x: (box.x0 + box.x1) / 2 + look.pan[0], y: (box.y0 + box.y1) / 2 + look.pan[1] };
+  return { k, x: (box.x0 + box.x1) / 2 + fit.right / 2 / k + look.pan[0], y: (box.y0 + box.y1) / 2 + fit.top / 2 / k + look.pan[1] };
 }
 
 /** The estimated path up to snapshot i: its own, or the updated poses so far and the present one. */
@@ -456,11 +464,12 @@ function mapLegend(ctx, look, history, k, w, h) {
  * landmark pulled. Forward is up. Origin: where the pose was before this step. The side is said in the corner.
  */
 function drawPoseInset(ctx, look, history, run, shot, seen, w) {
-  const c = look.colours, p = shot.inset, side = w < 330 ? 92 : 124, x0 = w - side - 4, y0 = 4;
+  const c = look.colours, p = shot.inset, side = insetSide(w), x0 = w - side - 4, y0 = 4;
   const now = ellipseOf(p[0], p[1], p[2]), was = ellipseOf(p[4], p[5], p[6]);
   const away = Math.hypot(p[8], p[9]);
-  const half = niceAbove(1.1 * Math.max(RADIUS * now.a, RADIUS * was.a, Math.min(away, 3 * RADIUS * now.a)));
-  const k = (side - 8) / 2 / half, X = (left) => x0 + side / 2 - k * left, Y = (forward) => y0 + side / 2 - k * forward;
+  const largest = RADIUS * Math.max(now.a, was.a || 0), jumped = away > 8 * largest; // then only what is now is shown
+  const half = niceAbove(1.1 * Math.max(largest, jumped ? 0 : away)), [oy, ox] = jumped ? [p[8], p[9]] : [0, 0];
+  const k = (side - 8) / 2 / half, X = (left) => x0 + side / 2 - k * (left - ox), Y = (forward) => y0 + side / 2 - k * (forward - oy);
   ctx.fillStyle = look.paper;
   ctx.fillRect(x0, y0, side, side);
   ctx.strokeStyle = c.faded;
@@ -498,7 +507,7 @@ function drawPoseInset(ctx, look, history, run, shot, seen, w) {
   ctx.beginPath();
   ctx.arc(X(p[9]), Y(p[8]), 2, 0, 7);
   ctx.fill();
-  const off = Math.hypot(p[11], p[12]), inside = Math.max(Math.abs(p[11]), Math.abs(p[12])) < half;
+  const off = Math.hypot(p[11] - p[8], p[12] - p[9]), inside = Math.max(Math.abs(p[11] - oy), Math.abs(p[12] - ox)) < half;
   if (Number.isFinite(off) && inside) {
     const [x, y] = [X(p[12]), Y(p[11])];
     ctx.strokeStyle = c.truth;
@@ -508,10 +517,10 @@ function drawPoseInset(ctx, look, history, run, shot, seen, w) {
     ctx.stroke();
   }
   ctx.restore();
-  label(ctx, `± ${metres(half)}`, x0 + 3, y0 + side - 4, look.ink, look.paper);
+  label(ctx, `pose ± ${metres(half)}`, x0 + 3, y0 + side - 4, look.ink, look.paper);
   label(ctx, `heading × ${widen}`, x0 + side - 3, y0 + 12, c.expected, look.paper, "right");
   if (Number.isFinite(off) && !inside) {
-    label(ctx, `truth ${metres(off)} off`, x0 + side - 3, y0 + side - 4, c.rejected, look.paper, "right");
+    label(ctx, `truth ${metres(off)} off`, x0 + side - 3, y0 + 25, c.rejected, look.paper, "right");
   }
   return { half, widen, sigmas: [Math.sqrt(p[0]), Math.sqrt(p[2]), p[3]], before: [Math.sqrt(p[4]), Math.sqrt(p[6]), p[7]],
     offset: [p[8], p[9]], truth: [p[11], p[12]], axes: [now.a, now.b] };
@@ -544,7 +553,7 @@ function drawMatrix(canvas, look, history, run) {
   ctx.strokeStyle = look.ink;
   ctx.lineWidth = 1.2;
   cross(ctx, place, at(3 * n), at(d));
-  const every = Math.ceil(11 / Math.max(3 * place.cell, 0.1));
+  const every = Math.ceil(10 / Math.max(3 * place.cell, 0.1));
   const chosen = shot.ids.indexOf(look.chosen);
   ctx.textBaseline = "middle";
   for (let j = 0; j < n; j++) {
@@ -565,7 +574,7 @@ function drawMatrix(canvas, look, history, run) {
   }
   drawColourBar(ctx, look, history, w, h);
   return { reading: look.reading, d, ids: [...shot.ids], values, place: { x: place.x, y: place.y },
-    framed: chosen, centre: (row) => place.y + (at(row) + at(row + 1)) / 2 - 0, column: (row) => place.x + (at(row) + at(row + 1)) / 2 };
+    framed: chosen, centres: Array.from({ length: d }, (_, row) => (at(row) + at(row + 1)) / 2) };
 }
 
 /** The numbers that the matrix shows, (d, d) row by row; NaN for a change of rows that are new. */
@@ -591,7 +600,8 @@ function readMatrix(run, look) {
 
 /** Where rows stand: landmarks' rows share what the pose's rows, which are named one by one, leave. */
 function matrixPlace(cells, w, h) {
-  const x = 48, y = 4, side = Math.max(Math.min(w - x - 58, h - 8), 40);
+  const x = 48, y = 4, below = barBelow(w, h);
+  const side = Math.max(Math.min(w - x - (below ? 4 : 58), h - 8 - (below ? 28 : 0)), 40);
   const wide = Math.min(12, (cells.landmarks ? 0.45 : 1) * side / Math.max(cells.tail, 1));
   const tail = cells.landmarks ? wide : side / cells.tail;
   const cell = cells.landmarks ? Math.min((side - tail * cells.tail) / (3 * cells.landmarks), tail) : 0;
@@ -599,6 +609,9 @@ function matrixPlace(cells, w, h) {
   const rowAt = (px, n) => (px < 3 * n * cell ? Math.floor(px / cell) : 3 * n + Math.floor((px - 3 * n * cell) / tail));
   return { x, y, side, cell, tail, at, rowAt };
 }
+
+/** Whether the colour bar stands below the matrix: where beside it would cost more. */
+const barBelow = (w, h) => w - 58 < h;
 
 /** The matrix pixel by pixel, enlarged in four pieces: landmarks and pose have cells of different size. */
 function paintMatrix(ctx, values, n, place, look) {
@@ -628,34 +641,38 @@ function cross(ctx, place, at, length) {
   ctx.stroke();
 }
 
-/** The scale of the matrix on the right, with its unit. */
+/** The scale of the matrix, on the right or below, with its unit. */
 function drawColourBar(ctx, look, history, w, h) {
-  const x = w - 50, y = 22, height = Math.min(h - 34, 190);
-  for (let j = 0; j < height; j++) {
-    ctx.fillStyle = css(shade(look.table, 1 - (2 * j) / height));
-    ctx.fillRect(x, y + j, 10, 1.5);
+  const below = barBelow(w, h), length = below ? w - 60 : Math.min(h - 44, 190), [x, y] = below ? [50, h - 24] : [w - 50, 28];
+  const at = (t) => (length * (1 - t)) / 2; // px from the upper or right end
+  for (let j = 0; j < length; j++) {
+    ctx.fillStyle = css(shade(look.table, 1 - (2 * j) / length));
+    if (below) ctx.fillRect(x + length - j, y, 1.5, 8);
+    else ctx.fillRect(x, y + j, 10, 1.5);
   }
-  ctx.strokeStyle = look.colours.faded;
-  ctx.lineWidth = 1;
-  ctx.strokeRect(x, y, 10, height);
   ctx.fillStyle = look.ink;
-  ctx.fillText(look.reading === "correlation" ? "" : "m², m rad,", x - 10, 9);
-  ctx.fillText(look.reading === "correlation" ? "" : "rad²", x - 10, 19);
-  const { low, high } = history.scale;
-  let ticks = [1, 0.5, 0, -0.5, -1];
-  if (look.reading !== "correlation") {
-    const powers = [], top = Math.floor(Math.log10(high)), step = Math.max(1, Math.ceil((top - Math.log10(low)) / 4));
-    for (let p = top; p > Math.log10(low); p -= step) powers.push(10 ** p);
-    ticks = [...powers, 0, ...powers.map((v) => -v)];
-  }
   ctx.textBaseline = "middle";
-  for (const v of ticks) {
-    const at = y + (height * (1 - look.toScale(v))) / 2;
-    const power = v === 0 ? "0" : `${v < 0 ? "−" : ""}10${superscript(Math.round(Math.log10(Math.abs(v))))}`;
-    ctx.fillText(look.reading === "correlation" ? String(v).replace("-", "−") : power, x + 13, at);
+  for (const v of barTicks(look, history.scale)) {
+    const text = look.reading === "correlation" ? String(v).replace("-", "−") : power(v);
+    if (below) label(ctx, text, x + length - at(look.toScale(v)), y + 16, look.ink, look.paper, "center");
+    else ctx.fillText(text, x + 13, y + at(look.toScale(v)));
   }
   ctx.textBaseline = "alphabetic";
+  if (look.reading === "correlation") return;
+  if (below) label(ctx, "m², rad²", x - 4, y + 7, look.ink, look.paper, "right");
+  else ["m², rad²,", "m · rad"].forEach((unit, line) => ctx.fillText(unit, x - 6, 10 + 11 * line));
 }
+
+/** Numbers to write at the colour bar. */
+function barTicks(look, { low, high }) {
+  if (look.reading === "correlation") return [1, 0.5, 0, -0.5, -1];
+  const powers = [], top = Math.floor(Math.log10(high)), step = Math.max(1, Math.ceil((top - Math.log10(low)) / 3));
+  for (let p = top; p > Math.log10(low) + 0.7; p -= step) powers.push(10 ** p);
+  return [...powers, 0, ...powers.map((v) => -v)];
+}
+
+/** A power of ten, or zero, as text. */
+const power = (v) => (v === 0 ? "0" : `${v < 0 ? "−" : ""}10${superscript(Math.round(Math.log10(Math.abs(v))))}`);
 
 /** A whole number as raised digits. */
 function superscript(n) {
@@ -679,7 +696,7 @@ function drawLandmark(canvas, look, history, runs) {
     return shown;
   }
   const range = { y0: Math.min(...all), y1: Math.max(...all), log: true };
-  const plot = plotArea(ctx, look, history, { x: 44, y: 30, w: w - 54, h: h - 46 }, range, "m");
+  const plot = plotArea(ctx, look, history, { x: 44, y: runs[0].matrix ? 32 : 18, w: w - 54, h: h - (runs[0].matrix ? 48 : 34) }, range, "m");
   const hues = [c.predicted, c.mapping, c.slam];
   lines.forEach(({ sigmas }, r) => {
     ctx.setLineDash(r ? [4, 3] : []);
@@ -692,12 +709,19 @@ function drawLandmark(canvas, look, history, runs) {
   plot.cursor(runs[0], look.i);
   const now = runs.map((run) => snapshot(run, look.i)), at = now.map((s) => s.ids.indexOf(look.chosen));
   shown.axes = now.map((s, r) => (at[r] < 0 ? null : [...s.axes.subarray(3 * at[r], 3 * at[r] + 3)]));
-  const words = shown.axes[0] ? `σ ${shown.axes[0].map(metres).join(", ")}` : "not in the state now";
-  label(ctx, `landmark ${look.chosen}: ${words}`, 4, 11, c.measured, look.paper);
+  const words = [[`landmark ${look.chosen}: `, c.measured], ...(shown.axes[0]
+    ? shown.axes[0].map((v, axis) => [`${["longest", "middle", "shortest"][axis]} σ ${metres(v)}  `, hues[axis]])
+    : [["not in the state now", look.ink]])];
+  let x = 4;
+  for (const [text, colour] of words) {
+    label(ctx, text, x, 11, colour, look.paper);
+    x += ctx.measureText(text).width;
+  }
+  shown.words = words.map(([text]) => text).join("");
   if (at[0] >= 0 && runs[0].matrix) {
     shown.shares = shares(runs[0], now[0], at[0]);
-    label(ctx, shown.shares, 4, 24, look.ink, look.paper);
-  } else label(ctx, "σ along its longest, middle and shortest axis", 4, 24, look.ink, look.paper);
+    label(ctx, shown.shares + (runs.length > 1 ? `; dashed: ${runs[1].name}` : ""), 4, 24, look.ink, look.paper);
+  }
   return shown;
 }
 
@@ -765,6 +789,7 @@ function drawTime(canvas, look, history, runs) {
   const chosen = Math.max(names.indexOf(look.quantity), 0), both = nis >= 0 && nis !== chosen;
   const area = { x: 44, y: 14, w: w - 54, h: both ? h * 0.54 - 14 : h - 32 };
   const plot = drawSeries(ctx, look, history, runs, chosen, area, !both);
+  shown.words = `${names[chosen]} ${runs.map((run) => short(run.series[chosen].values[look.i])).join(" and ")}`;
   shown.area = { ...area, x0: plot.x0, x1: plot.x1 };
   runs.forEach(({ series }) => {
     shown.values.push(series[chosen].values[look.i]);
@@ -826,14 +851,16 @@ function plotArea(ctx, look, history, area, range, unit, axis = true) {
   for (const v of range.log ? decades(range) : steps(range.y0, range.y1, Math.max(2, Math.floor(area.h / 22)))) {
     const y = Y(v);
     ctx.strokeStyle = look.grid;
+    ctx.lineWidth = 1;
     ctx.beginPath();
     ctx.moveTo(area.x, y); ctx.lineTo(area.x + area.w, y);
     ctx.stroke();
-    label(ctx, `${short(v).replace("-", "−")}${unit ? ` ${unit}` : ""}`, area.x - 4, y, look.ink, look.paper, "right");
+    label(ctx, `${short(v)}${unit ? ` ${unit}` : ""}`, area.x - 4, y, look.ink, look.paper, "right");
   }
   ctx.textBaseline = "alphabetic";
   if (axis) {
     for (const t of steps(x0, x1, Math.floor(area.w / 60))) {
+      if (X(t) > area.x + area.w - 60) continue; // there stands the axis' name
       label(ctx, short(t), X(t), area.y + area.h + 13, look.ink, look.paper, "center");
     }
     label(ctx, history.axis, area.x + area.w, area.y + area.h + 13, look.ink, look.paper, "right");
@@ -1000,7 +1027,10 @@ const STYLE = `
 .vx button, .vx select { font: inherit; color: inherit; background: transparent; border: 1px solid var(--vx-edge);
   border-radius: 3px; min-width: 26px; min-height: 24px; padding: 0 5px; cursor: pointer; }
 .vx option { color: var(--vx-ink); background: Canvas; }
-.vx input[type=range] { width: clamp(120px, 26vw, 320px); margin: 0; accent-color: var(--vx-focus); }
+.vx input[type=range] { flex: 1; min-width: 80px; margin: 0; accent-color: var(--vx-focus); }
+.vx-bar label.vx-slider { flex: 1 1 180px; max-width: 380px; }
+.vx output { min-width: 11.5em; font-variant-numeric: tabular-nums; }
+.vx select { max-width: 170px; }
 .vx input[type=checkbox] { margin: 0; accent-color: var(--vx-focus); }
 .vx :focus-visible { outline: 2px solid var(--vx-focus); outline-offset: 1px; }
 .vx-views { display: grid; gap: 6px; grid-template-columns: repeat(12, 1fr); }
@@ -1063,8 +1093,9 @@ function render({ model, el }) {
   };
 
   // --- the parts of the page
-  const button = (text, name, press) => make("button", { type: "button", textContent: text, title: name, ariaLabel: name, onclick: press });
-  const play = button("▶", "play (space)", () => toggle());
+  const button = (text, name, press) => make("button", { type: "button", textContent: text, title: name, ariaLabel: name,
+    onclick: press });
+  const play = button("Play", "play (space)", () => toggle());
   const slider = make("input", { type: "range", min: 0, max: history.n - 1, oninput: () => go(+slider.value) });
   const readout = make("output", {});
   const caption = make("p", { className: "vx-caption", role: "status" });
@@ -1086,10 +1117,10 @@ function render({ model, el }) {
     quantity = choice("below", some.series.map((s) => [s.name, s.name]), look.quantity, (v) => { look.quantity = v; draw(); });
     landmark = choice("landmark", [[-1, "none"], ...history.ids.map((id) => [id, id])], look.chosen, (v) => choose(+v));
     which = choice("show", [...runs.map((run, r) => [r, run.name]), [BOTH, "side by side"]], look.show, (v) => { look.show = +v; arrange(); save(); });
-    const steps = [button("⏮", "first (Home)", () => go(0)), button("◀", "back (←)", () => go(look.i - 1)), play,
-      button("▶|", "forward (→)", () => go(look.i + 1)), button("⏭", "last (End)", () => go(history.n - 1))];
+    const steps = [button("|◀", "first (Home)", () => go(0)), button("◀", "back (←)", () => go(look.i - 1)), play,
+      button("▶", "forward (→)", () => go(look.i + 1)), button("▶|", "last (End)", () => go(history.n - 1))];
     root.replaceChildren(
-      make("div", { className: "vx-bar" }, ...steps, make("label", {}, history.unit, slider), readout, speed.box,
+      make("div", { className: "vx-bar" }, ...steps, make("label", { className: "vx-slider" }, history.unit, slider), readout, speed.box,
         ...(runs.length > 1 ? [which.box] : [])),
       make("div", { className: "vx-bar" }, magnify.box, make("label", {}, follow, "follow the car"),
         make("span", {}, button("−", "zoom out the map", () => zoom(1 / 1.5)), " ", button("+", "zoom in the map", () => zoom(1.5)), " ",
@@ -1103,7 +1134,7 @@ function render({ model, el }) {
   function arrange() {
     const two = look.show === BOTH && history.runs.length > 1, wide = root.clientWidth >= 640;
     const all = history.runs, drawn = two ? all : [all[Math.min(look.show, all.length - 1)]], some = drawn[0];
-    const top = wide ? 262 : 240, low = wide ? 166 : 170;
+    const top = wide ? 286 : 250, low = wide ? 166 : 170;
     const list = [];
     const add = (kind, name, run, columns, height) => list.push({ kind, name, run, columns: wide ? columns : 12, height });
     for (const run of drawn) {
@@ -1149,10 +1180,12 @@ function render({ model, el }) {
   function draw() {
     look.toScale = look.reading === "correlation" ? (v) => v : (v) => symlog(v, history.scale);
     shown = { map: [], matrix: [], image: [] };
-    for (const { kind, run, canvas } of views) {
+    for (const { kind, run, canvas, name } of views) {
       if (!canvas.clientWidth) continue;
+      if (canvas.nextSibling) canvas.nextSibling.style.color = run.colour; // the run's name on its map
       const paint = { map: drawMap, matrix: drawMatrix, image: drawImage, landmark: drawLandmark, time: drawTime }[kind];
       const numbers = paint(canvas, look, history, run);
+      canvas.ariaLabel = numbers.words ? `${name}: ${numbers.words}` : name;
       if (kind in shown) shown[kind].push(numbers);
       else shown[kind] = numbers;
     }
@@ -1160,8 +1193,9 @@ function render({ model, el }) {
     slider.value = look.i;
     slider.setAttribute("aria-valuetext", history.labels[look.i]);
     readout.textContent = history.labels[look.i];
-    caption.textContent = runs.map((run) => (runs.length > 1 ? `${run.name}: ` : "") + run.captions[look.i]).join(" ");
-    play.textContent = timer ? "⏸" : "▶";
+    const words = runs.map((run) => (runs.length > 1 ? `${run.name}: ` : "") + run.captions[look.i]);
+    caption.textContent = `${history.labels[look.i]}: ${words.join(". ")}.`;
+    play.textContent = timer ? "Pause" : "Play";
     play.ariaLabel = play.title = timer ? "pause (space)" : "play (space)";
     landmark.select.value = look.chosen;
     root.dataset.step = look.i;
@@ -1296,7 +1330,11 @@ function render({ model, el }) {
 
   // --- life
   const recheck = () => { recolour(); draw(); };
-  const resize = new ResizeObserver(() => arrange());
+  let width = 0;
+  const resize = new ResizeObserver(() => {
+    if (root.clientWidth !== width) arrange(); // a caption of more lines changes nothing
+    width = root.clientWidth;
+  });
   const themes = new MutationObserver(recheck);
   const scheme = window.matchMedia("(prefers-color-scheme: dark)");
   const fromKernel = () => {
@@ -1319,8 +1357,8 @@ function render({ model, el }) {
   themes.observe(document.documentElement, { attributes: true });
   scheme.addEventListener("change", recheck);
   model.on("change", fromKernel);
-  root.explorer = { go, choose, state: () => ({ i: look.i, label: history.labels[look.i], chosen: look.chosen,
-    caption: caption.textContent, playing: timer > 0, theme: root.dataset.theme, ...shown }), set: (key, value) => { look[key] = value; arrange(); } };
+  root.explorer = { go, choose, state: () => plain({ i: look.i, label: history.labels[look.i], chosen: look.chosen,
+    show: look.show, caption: caption.textContent, playing: timer > 0, theme: root.dataset.theme, ...shown }) };
   return () => {
     clearInterval(timer);
     clearTimeout(saving);
@@ -1330,6 +1368,9 @@ function render({ model, el }) {
     model.off("change", fromKernel);
   };
 }
+
+/** Numbers as a test can read them: typed arrays as lists, what is not finite as null. */
+const plain = (value) => JSON.parse(JSON.stringify(value, (_, v) => (ArrayBuffer.isView(v) ? [...v] : v)));
 
 /** The two names of an entry of the matrix and its value. */
 function entryText(run, { shot, row, column, d }, shown) {

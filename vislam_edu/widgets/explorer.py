@@ -141,7 +141,8 @@ class Explorer(anywidget.AnyWidget):
 
     def caption(self, i: int, run: int = 0) -> str:
         """What led to snapshot i of a run, in words: the line below the views."""
-        return self.histories[run].snapshots[i].caption
+        shot = self.histories[run].snapshots[i]
+        return f"{shot.label}: {shot.caption}."
 
     @property
     def n(self) -> int:
@@ -151,7 +152,7 @@ class Explorer(anywidget.AnyWidget):
     def save_html(self, path: str | Path, title: str | None = None) -> Path:
         """Write the explorer as one HTML file that works without kernel and network; returns its path."""
         path = Path(path)
-        path.write_text(explorer_page(self, title or self.histories[0].name), encoding="utf-8")
+        path.write_text(explorer_page(self, title or " and ".join(h.name for h in self.histories)), encoding="utf-8")
         return path
 
     def __repr__(self):

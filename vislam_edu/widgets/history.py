@@ -19,7 +19,6 @@ from ..studies.pipeline import right_pose_covariance, world_landmark_covariance
 NOBODY = np.empty(0, int)
 MOTION_ROWS = ["v x", "v y", "v z", "ω x", "ω y", "ω z", "bias x", "bias y", "bias z"]
 POSE_ERRORS = [("forward", 0, 1.0, "m"), ("left", 1, 1.0, "m"), ("heading", 5, 180 / np.pi, "°")]
-UP_TO = 6.0  # a value off the scale of its panel by this factor does not stretch it
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +62,7 @@ class Sight:
 class Snapshot:
     """One state of an estimate, everything in world coordinates.
 
-    label : where it stands in the history. caption : what led to it, in words. time : s, or its number.
+    label : where it stands in the history. caption : what led to it, in words, without the label. time : s, or its number.
     updated : True for a posterior, False for a prediction.
     ids : (n,). landmarks : (n, 3) m. landmark_covariance : (n, 3, 3) m^2, of the positions in the world.
     world_T_imu : (4, 4) or None. pose_covariance : (6, 6) as a right perturbation, or None.
@@ -321,8 +320,7 @@ def describe(before: Snapshot | None, now: Snapshot, estimates_pose: bool) -> st
         words.append(_map_words(before, now))
     words += [f"new: {listed(now.born)}"] if len(now.born) else []
     words += [f"left the state: {listed(now.retired)}"] if len(now.retired) else []
-    text = "; ".join(filter(None, words)) or "nothing is known yet"
-    return f"{now.label[0].upper()}{now.label[1:]}: {text}."
+    return "; ".join(filter(None, words)) or "nothing is known yet"
 
 
 def _pose_words(before, now) -> str:
@@ -331,8 +329,10 @@ def _pose_words(before, now) -> str:
     for axis, (name, _, _, unit) in enumerate(POSE_ERRORS):
         scale, unit = (180 / np.pi, "°") if unit == "°" else (100, " cm")
         shown.append(f"{name} " + " → ".join(f"{scale * s[axis]:.2g}" for s in sigmas) + unit)
-    moved = "" if before is None else "pose σ shrinks, " if sigmas[1][0] < sigmas[0][0] else "pose σ grows, "
-    return (moved or "pose σ ") + ", ".join(shown)
+    if before is not None and np.allclose(*sigmas, rtol=1e-9):
+        return "the pose stays as it was"
+    moved = "" if before is None else " shrinks," if sigmas[1].prod() < sigmas[0].prod() else " grows,"
+    return f"pose σ{moved} " + ", ".join(shown)
 
 
 def _map_words(before, now) -> str:
