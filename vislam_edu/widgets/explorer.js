@@ -1089,7 +1089,7 @@ function render({ model, el }) {
   const calm = window.matchMedia("(prefers-reduced-motion: reduce)").matches;
   const look = {
     i: model.get("half_step"), chosen: model.get("landmark"), show: model.get("show"), magnify: 1, zoom: 1, pan: [0, 0],
-    follow: false, reading: "correlation", quantity: history.runs[0].series[0]?.name, speed: SPEEDS[calm ? 0 : 1],
+    follow: false, reading: "correlation", quantity: history.quantity, speed: SPEEDS[calm ? 0 : 1],
   };
 
   // --- the parts of the page
@@ -1170,8 +1170,8 @@ function render({ model, el }) {
     Object.assign(look, { paper, dark, colours, ink: dark ? "#e8e8e8" : "#1a1a1a", grid: dark ? "#3a3a3a" : "#e4e4e4",
       table: colourTable(colours.scale) });
     const several = history.runs.length > 1;
-    history.runs.forEach((run, r) => {
-      run.colour = several ? [colours.invariant, colours.slam][r] : colours.posterior;
+    history.runs.forEach((run) => {
+      run.colour = several ? colours[run.role] : colours.posterior;
       run.ellipse = run.colour;
     });
   }

@@ -17,8 +17,9 @@ import anywidget
 import traitlets
 
 from ..drive import Drive
-from ..error_state import ErrorState
+from ..error_state import ErrorState, RightInvariant
 from . import explorer_still, history, packing
+from .canvas import Still
 from .history import History
 
 MODULE = Path(__file__).with_name("explorer.js")
@@ -63,8 +64,10 @@ class Explorer(anywidget.AnyWidget):
     start : the half-step to begin with (2k is frame k predicted, 2k + 1 is frame k updated); the last by default.
     landmark : id of the landmark that is chosen at first; by default the one that stays longest.
     show : which run, 0 or 1, or `BOTH`; of two runs both by default.
+    quantity : what is drawn through time at first: "forward error" (the default), "left error", "heading error",
+        "NEES of the pose", "NIS / numbers".
 
-    Raises ValueError for an empty history, runs of different length, or more than `packing.LIMIT` bytes.
+    Raises KeyError for an unknown quantity, and ValueError for an empty history, runs of different length, or more than `packing.LIMIT` bytes.
 
     Attributes
     ----------
@@ -91,16 +94,17 @@ class Explorer(anywidget.AnyWidget):
 
     def __init__(self, steps: Iterable | Mapping[str, Iterable], drive: Drive,
                  error_state: ErrorState | Mapping[str, ErrorState] | None = None, *, world_T_imu=None,
-                 name: str = "filter", start: int | None = None, landmark: int | None = None, show: int | None = None):
-        self._open(_histories(steps, drive, error_state, world_T_imu, name), drive, start, landmark, show)
+                 name: str = "filter", start: int | None = None, landmark: int | None = None, show: int | None = None,
+                 quantity: str | None = None):
+        self._open(_histories(steps, drive, error_state, world_T_imu, name), drive, start, landmark, show, quantity)
 
-    def _open(self, histories: list[History], drive, start, landmark, show):
+    def _open(self, histories: list[History], drive, start, landmark, show, quantity=None):
         """Pack the histories and open the widget."""
         self.histories, self.drive = histories, drive
         start = len(histories[0].snapshots) - 1 if start is None else start
         landmark = longest_seen(histories[0]) if landmark is None else landmark
         show = (BOTH if len(histories) > 1 else 0) if show is None else show
-        header, data = packing.pack(histories, drive, start, landmark, show)
+        header, data = packing.pack(histories, drive, start, landmark, show, quantity)
         super().__init__(header=header, data=data, half_step=start, landmark=landmark, show=show)
 
     @classmethod
@@ -135,7 +139,8 @@ class Explorer(anywidget.AnyWidget):
         name = self.histories[0].name if name is None else name
         self.histories = _histories(steps, self.drive, error_state, world_T_imu, name)
         start = min(self.half_step, len(self.histories[0].snapshots) - 1)
-        header, data = packing.pack(self.histories, self.drive, start, self.landmark, self.show)
+        header, data = packing.pack(self.histories, self.drive, start, self.landmark, self.show,
+                                    self.header["quantity"])
         with self.hold_sync():
             self.half_step, self.header, self.data = start, header, data
 
@@ -155,6 +160,12 @@ class Explorer(anywidget.AnyWidget):
         path.write_text(explorer_page(self, title or " and ".join(h.name for h in self.histories)), encoding="utf-8")
         return path
 
+    def still(self, i: int | None = None, show: int | None = None) -> Still:
+        """The picture of snapshot i, by default what is shown, as an output that needs no script."""
+        png, alt = explorer_still.draw(dict(self.header), self.data, self.half_step if i is None else i,
+                                       self.landmark, self.show if show is None else show)
+        return Still(png, alt)
+
     def __repr__(self):
         """Fixed, so that a notebook's stored text never depends on what is shown or on an address."""
         names = " and ".join(one.name for one in self.histories)
@@ -164,9 +175,8 @@ class Explorer(anywidget.AnyWidget):
         """The live widget, and the still picture with its alternative text for where no script runs."""
         bundle = super()._repr_mimebundle_(**kwargs)
         data, metadata = bundle if isinstance(bundle, tuple) else (bundle, {})
-        png, alt = explorer_still.draw(dict(self.header), self.data, self.half_step, self.landmark, self.show)
-        return ({**data, "image/png": base64.b64encode(png).decode()},
-                {**metadata, "image/png": {"alt": alt}})
+        still, its_metadata = self.still()._repr_mimebundle_()
+        return {**data, "image/png": still["image/png"]}, {**metadata, **its_metadata}
 
 
 def explorer_page(explorer: Explorer, title: str) -> str:
@@ -183,7 +193,12 @@ def _histories(steps, drive, error_state, world_T_imu, name) -> list[History]:
     states = error_state if isinstance(error_state, Mapping) else dict.fromkeys(runs, error_state)
     if not 1 <= len(runs) <= BOTH:
         raise ValueError(f"an explorer shows one run or two, got {len(runs)}")
-    return [history.from_steps(key, one, drive, states.get(key), world_T_imu) for key, one in runs.items()]
+    colours: list[str] = []
+    for key in runs:
+        role = "invariant" if isinstance(states.get(key), RightInvariant) else "slam"
+        colours.append("report" if role in colours else role)
+    return [history.from_steps(key, one, drive, states.get(key), colour=colour, world_T_imu=world_T_imu)
+            for (key, one), colour in zip(runs.items(), colours)]
 
 
 def longest_seen(one: History) -> int:

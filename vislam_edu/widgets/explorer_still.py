@@ -19,7 +19,7 @@ class Run:
     """One run of an explorer, unpacked: its arrays by name, with the rows of one snapshot at hand."""
 
     def __init__(self, run: dict[str, Any], data: bytes):
-        self.name, self.rows, self.captions = run["name"], run["rows"], run["captions"]
+        self.name, self.role, self.rows, self.captions = run["name"], run["role"], run["rows"], run["captions"]
         self.born, self.retired, self._run, self._data = run["born"], run["retired"], run, data
         self.time, self.first, self.ids = self["time"], self["first"], self["ids"]
         self.landmark, self.block, self.axes = (self[key].reshape(-1, 3) for key in ("landmark", "block", "axes"))
@@ -98,7 +98,7 @@ def draw_map(axes, header, data, run, i, landmark, several):
     if np.isfinite(run.pose[i, 0]):
         axes.plot(*run.pose[i, :2], marker=(3, 0, np.degrees(run.pose[i, 3]) - 90), ms=10, mfc="white", mec="black")
     axes.set_aspect("equal", adjustable="datalim")
-    axes.set_title(f"{run.name}: map, 95 % ellipses" if several else "Map from above (m), 95 % ellipses")
+    axes.set_title(run.name if several else "Map from above (m), 95 % ellipses")
 
 
 def draw_matrix(axes, run, i, landmark):
@@ -135,9 +135,10 @@ def draw_landmark(axes, header, runs, i, landmark):
 def draw_series(axes, header, runs, i, landmark):
     """The first quantity of the runs through time, after the updates, with its band."""
     after = np.array(header["updated"], bool)
-    first = runs[0].series[0]
-    for run, colour in zip(runs, (COLOURS["invariant"], COLOURS["slam"])):
-        one = run.series[0]
+    at = [one["name"] for one in runs[0].series].index(header["quantity"])
+    first = runs[0].series[at]
+    for run in runs:
+        one, colour = run.series[at], COLOURS[run.role if len(runs) > 1 else "posterior"]
         axes.plot(run.time[after], one["values"][after], color=colour, label=run.name)
         for edge in (one["low"], one["high"]):
             axes.plot(run.time[after], edge[after], "--", lw=1, color=colour)
@@ -145,7 +146,7 @@ def draw_series(axes, header, runs, i, landmark):
     if first["log"]:
         axes.set_yscale("log")
     unit = f" ({first['unit']})" if first["unit"] else ""
-    axes.set_title(f"{first['name'].capitalize()}{unit}" + (", dashed: ± 3σ" if "error" in first["name"] else ""))
+    axes.set_title(f"{first['name'][0].upper()}{first['name'][1:]}{unit}" + (", dashed: ± 3σ" if "error" in first["name"] else ""))
     axes.set_xlabel(header["axis"])
     if len(runs) > 1:
         axes.legend()

@@ -9,12 +9,11 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from scipy.stats import chi2
-
 from .. import kalman, metrics, se3
 from ..drive import Drive
 from ..error_state import ErrorState, RightInvariant, RightPerturbation
 from ..studies.pipeline import right_pose_covariance, world_landmark_covariance
+from .panels import nis_band
 
 NOBODY = np.empty(0, int)
 MOTION_ROWS = ["v x", "v y", "v z", "ω x", "ω y", "ω z", "bias x", "bias y", "bias z"]
@@ -108,24 +107,33 @@ class Series:
 class History:
     """One run: its snapshots, and what is shown of it through time.
 
-    name : of the run. unit : what one snapshot is ("half-step", "iteration"). axis : what `Snapshot.time` counts.
-    rows : names of the rows of the covariance, those of one landmark first.
+    name : of the run. colour : its key in `style.COLOURS`. unit : what one snapshot is ("half-step", "iteration").
+    axis : what `Snapshot.time` counts. rows : names of the rows of the covariance, those of one landmark first.
     """
 
     name: str
+    colour: str
     unit: str
     axis: str
     rows: tuple[list[str], list[str]]
     snapshots: tuple[Snapshot, ...]
     series: tuple[Series, ...]
 
+    def __getitem__(self, name: str) -> Series:
+        """The series of this name. Raises KeyError with the names that there are."""
+        for one in self.series:
+            if one.name == name:
+                return one
+        raise KeyError(f"{name!r} is not among {[one.name for one in self.series]}")
 
-def from_steps(name: str, steps: Iterable[kalman.Step], drive: Drive, error_state: ErrorState | None = None,
-               world_T_imu: np.ndarray | None = None) -> History:
+
+def from_steps(name: str, steps: Iterable[kalman.Step], drive: Drive, error_state: ErrorState | None = None, *,
+               colour: str = "slam", world_T_imu: np.ndarray | None = None) -> History:
     """The history of a filter: two snapshots a step, its prior and its posterior.
 
     steps : `kalman.Step`s whose beliefs are a joint `Belief`, a `MapBelief` or a `PoseBelief`.
-    drive : the Drive they were run on. error_state : that of a joint filter, by default `RightPerturbation()`.
+    drive : the Drive they were run on; its true landmarks are the known map of a filter that estimates a pose only.
+    error_state : that of a joint filter, by default `RightPerturbation()`. colour : key of `style.COLOURS`.
     world_T_imu : (T, 4, 4), the poses that were given to a filter which estimates a map only.
     Raises ValueError for an empty history.
     """
@@ -138,7 +146,8 @@ def from_steps(name: str, steps: Iterable[kalman.Step], drive: Drive, error_stat
     for step in steps:
         truth = None if drive.true_world_T_imu is None else drive.true_world_T_imu[step.k]
         pose = None if world_T_imu is None else world_T_imu[step.k]
-        value, count, sight = look(step, drive, error_state, pose)
+        sight = look(step, drive, error_state, pose)
+        value, count = frame_nis(step, drive, error_state, pose)
         nis += [value, value]
         numbers += [count, count]
         for belief, updated in ((step.prior, False), (step.posterior, True)):
@@ -150,13 +159,12 @@ def from_steps(name: str, steps: Iterable[kalman.Step], drive: Drive, error_stat
             )
             snapshots.append(replace(now, caption=describe(snapshots[-1] if snapshots else None, now, pose is None)))
     # Until the update of a frame, the NIS of the frame before stands.
-    nis, numbers = np.array(nis[:-1]), np.array(numbers[:-1])
-    band = chi2.ppf([[0.025], [0.975]], np.maximum(numbers, 1)) / np.maximum(numbers, 1)
-    band[:, numbers == 0] = np.nan
-    series = [*pose_series(snapshots), Series("NIS / numbers", "", nis, *band)]
+    per_number = np.where(np.array(numbers[:-1]) > 0, numbers[:-1], np.nan)
+    nis_series = Series("NIS / numbers", "", np.array(nis[:-1]) / per_number, *nis_band(per_number))
+    series = [*pose_series(snapshots), nis_series]
     if truth is not None and snapshots[0].pose_covariance is not None:
         series.insert(-1, nees_series(steps, drive, error_state))
-    return History(name, "half-step", "time (s)", row_names(snapshots, error_state), tuple(snapshots), tuple(series))
+    return History(name, colour, "half-step", "time (s)", row_names(snapshots, error_state), tuple(snapshots), tuple(series))
 
 
 def from_beliefs(labels: Sequence[str], beliefs: Sequence[Any], drive: Drive, *, name: str, unit: str,
@@ -178,7 +186,7 @@ def from_beliefs(labels: Sequence[str], beliefs: Sequence[Any], drive: Drive, *,
         snapshots.append(replace(now, caption=words))
     nothing = np.full(len(beliefs), np.nan)
     given = [Series(key, "", np.asarray(values, float), nothing, nothing) for key, values in (series or {}).items()]
-    return History(name, unit, unit, row_names(snapshots, error_state), tuple(snapshots),
+    return History(name, "slam", unit, unit, row_names(snapshots, error_state), tuple(snapshots),
                    (*given, *pose_series(snapshots)))
 
 
@@ -224,42 +232,77 @@ def jacobian(belief, innovation, drive, error_state, pose):
     return H
 
 
-def look(step, drive, error_state, pose):
-    """NIS of a step's frame divided by the numbers it sums, how many these are, and the frame's `Sight`.
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """All measurements of one frame together: they share the errors of the prior.
 
-    All measurements of a frame share the errors of the prior, so their S is one (4n, 4n) matrix:
-    S = H Sigma H^T + V, with V (px^2) what the step's own S of each measurement leaves beside H Sigma H^T.
+    P : (d, d), prior covariance. H : (n, 4, d). S : (n, 4, n, 4) px^2, H P H^T + V; V (px^2) is what the step's own S
+    of each measurement has beside H P H^T. residual : (n, 4) px.
     """
-    seen, prior = step.innovation, step.prior
-    n = len(seen.ids)
-    if n == 0:
-        return np.nan, 0, None
-    H = jacobian(prior, seen, drive, error_state, pose)
-    P = prior.covariance
-    if hasattr(prior, "seen"):
-        P = np.zeros((n, 3, n, 3))
-        P[np.arange(n), :, np.arange(n)] = prior.covariance[seen.ids]
-        P = P.reshape(3 * n, 3 * n)
-    S = (H.reshape(4 * n, -1) @ P @ H.reshape(4 * n, -1).T).reshape(n, 4, n, 4)
-    S[np.arange(n), :, np.arange(n)] = seen.covariance
 
-    def part(rows):
+    P: np.ndarray
+    H: np.ndarray
+    S: np.ndarray
+    residual: np.ndarray
+
+    @classmethod
+    def of(cls, step, drive, error_state, pose=None) -> "Frame":
+        """The frame of a step. pose : (4, 4), where it was given to the filter."""
+        seen, n = step.innovation, len(step.innovation.ids)
+        H, P, each = jacobian(step.prior, seen, drive, error_state, pose), step.prior.covariance, np.arange(n)
+        if hasattr(step.prior, "seen"):
+            P = np.zeros((n, 3, n, 3))
+            P[each, :, each] = step.prior.covariance[seen.ids]
+            P = P.reshape(3 * n, 3 * n)
+        S = (H.reshape(4 * n, -1) @ P @ H.reshape(4 * n, -1).T).reshape(n, 4, n, 4)
+        S[each, :, each] = seen.covariance
+        return cls(P, H, S, seen.residual)
+
+    def part(self, rows) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """H (m, d), S (m, m) and residual (m,) of some measurements. rows : (n,) bool."""
         m = 4 * int(rows.sum())
-        return H[rows].reshape(m, -1), S[rows][:, :, rows].reshape(m, m), seen.residual[rows].ravel()
+        return self.H[rows].reshape(m, -1), self.S[rows][:, :, rows].reshape(m, m), self.residual[rows].ravel()
 
-    _, S_seen, residual = part(np.isfinite(seen.nis))
-    nis = kalman.nis(residual, S_seen) / len(residual) if len(residual) else np.nan
-    pulls, good = np.zeros((n, 2)), seen.accepted
-    if pose is None and good.any():
-        H_good, S_good, residual_good = part(good)
-        K = P @ np.linalg.solve(S_good, H_good).T
+
+def frame_nis(step: kalman.Step, drive: Drive, error_state: ErrorState, pose=None) -> tuple[float, int]:
+    """NIS of a step's whole frame, and how many numbers it sums: four a landmark in front of the camera.
+
+    error_state : of a joint filter. pose : (4, 4), where it was given to the filter. Returns (NaN, 0) for no landmark.
+    """
+    rows = np.isfinite(step.innovation.nis)
+    if not rows.any():
+        return np.nan, 0
+    _, S, residual = Frame.of(step, drive, error_state, pose).part(rows)
+    return float(kalman.nis(residual, S)), len(residual)
+
+
+def pulls(step: kalman.Step, drive: Drive, error_state: ErrorState) -> np.ndarray:
+    """(n, 6): what each measurement adds to the correction of the pose, K_j r_j, as a right perturbation, m and rad.
+
+    Zero where the gate kept it out. To first order their sum is the correction of the frame.
+    """
+    prior, good = step.prior, step.innovation.accepted
+    contribution = np.zeros((len(good), 6))
+    if good.any():
+        frame = Frame.of(step, drive, error_state)
+        H, S, residual = frame.part(good)
+        K = frame.P @ np.linalg.solve(S, H).T
         of_pose = slice(3 * len(prior.ids), 3 * len(prior.ids) + 6) if hasattr(prior, "ids") else slice(0, 6)
-        # K's columns in blocks of four, one for each measurement: what each adds to the correction
-        each = np.einsum("anr,nr->na", K[of_pose].reshape(6, -1, 4), residual_good.reshape(-1, 4))
-        pulls[good] = (each @ to_right(error_state, prior.world_T_imu).T)[:, :2]
+        # K's columns in blocks of four, one block for each measurement
+        each = np.einsum("anr,nr->na", K[of_pose].reshape(6, -1, 4), residual.reshape(-1, 4))
+        contribution[good] = each @ to_right(error_state, prior.world_T_imu).T
+    return contribution
+
+
+def look(step, drive, error_state, pose) -> Sight | None:
+    """What the cameras saw in this step's frame, None where nothing was predicted."""
+    seen = step.innovation
+    if len(seen.ids) == 0:
+        return None
+    pull = np.zeros((len(seen.ids), 2)) if pose is not None else pulls(step, drive, error_state)[:, :2]
     projected = drive.camera.observe(*_pose_and_points(step.posterior, seen.ids, drive, pose))[0]
-    return nis, len(residual), Sight(seen.ids, seen.measured[:, :2], seen.predicted[:, :2], projected[:, :2],
-                                     seen.covariance[:, :2, :2], seen.nis, seen.accepted, pulls)
+    return Sight(seen.ids, seen.measured[:, :2], seen.predicted[:, :2], projected[:, :2], seen.covariance[:, :2, :2],
+                 seen.nis, seen.accepted, pull)
 
 
 def to_right(error_state, world_T_imu):

@@ -47,23 +47,29 @@ def get(data: bytes, at: list) -> np.ndarray:
     return np.frombuffer(data, np.dtype(dtype).newbyteorder("<"), n, offset)
 
 
-def pack(histories: list[History], drive, start: int, landmark: int, show: int) -> tuple[dict[str, Any], bytes]:
+def pack(histories: list[History], drive, start: int, landmark: int, show: int,
+         quantity: str | None = None) -> tuple[dict[str, Any], bytes]:
     """The header (to be sent as JSON) and the data of an explorer.
 
     histories : one or two, of the same length. drive : for the truth. start : the snapshot to begin with.
-    landmark : the chosen one, -1 for none. show : which history, or 2 for both side by side.
-    Raises ValueError when the lengths differ or the result is larger than `LIMIT`.
+    landmark : the chosen one, -1 for none. show : which history, or 2 for both side by side. quantity : the series
+    that is drawn at first, by default the first one.
+    Raises KeyError for a quantity that is not a series, and ValueError when the lengths differ or the result is larger than `LIMIT`.
     """
     lengths = [len(history.snapshots) for history in histories]
     if len(set(lengths)) > 1:
         raise ValueError(f"{histories[1].name}: {lengths[1]} {histories[1].unit}s, expected {lengths[0]} as in "
                          f"{histories[0].name}")
+    if quantity is None:
+        quantity = next((one.name for one in histories[0].series), "")
+    else:
+        histories[0][quantity]
     block = Block()
     ids = np.unique(np.concatenate([s.ids for h in histories for s in h.snapshots]
                                    + [s.sight.ids for h in histories for s in h.snapshots if s.sight]))
     header = {
         "n": lengths[0], "unit": histories[0].unit, "axis": histories[0].axis, "start": start, "landmark": landmark,
-        "show": show, "ids": ids.tolist(), "image": image_size(histories),
+        "quantity": quantity, "show": show, "ids": ids.tolist(), "image": image_size(histories),
         "labels": [s.label for s in histories[0].snapshots],
         "updated": [int(s.updated) for s in histories[0].snapshots],
         "truth": truth(block, drive, ids, histories[0]), "colours": style.both_themes(),
@@ -98,7 +104,7 @@ def run(block: Block, history: History) -> dict[str, Any]:
     snapshots = history.snapshots
     covariances = np.concatenate([s.landmark_covariance for s in snapshots])
     packed = {
-        "name": history.name, "rows": history.rows, "captions": [s.caption for s in snapshots],
+        "name": history.name, "role": history.colour, "rows": history.rows, "captions": [s.caption for s in snapshots],
         "born": [s.born.tolist() for s in snapshots], "retired": [s.retired.tolist() for s in snapshots],
         "time": block.put([s.time for s in snapshots], "f4"),
         "first": block.put(np.cumsum([0] + [len(s.ids) for s in snapshots]), "i4"),
