@@ -25,6 +25,7 @@ COLOURS = {
     "slam": "#B5485E",
     "invariant": "#004488",
     "smoother": "#7A5FB0",
+    "batch": "#117744",
     # what it is: pixels, innovations, verdicts
     "measured": "#EE7733",
     "predicted": "#0055AA",
@@ -66,6 +67,7 @@ LINESTYLES = {
     "slam": "--",
     "invariant": "-",
     "smoother": (0, (8, 2)),
+    "batch": "-",
     "measured": "none",
     "predicted": "none",
     "prior": "--",
@@ -82,6 +84,7 @@ LABELS = {
     "slam": "SLAM, right perturbation",
     "invariant": "SLAM, right-invariant",
     "smoother": "smoother",
+    "batch": "batch estimate",
 }
 
 _RC: dict[Any, Any] = {
