@@ -8,7 +8,7 @@ from joblib import Parallel, delayed
 from numerical import central_difference
 from scipy.stats import binom
 
-from vislam_edu import association, batch, kalman, metrics, simulate, window_slam
+from vislam_edu import association, batch, kalman, metrics, se3, simulate, window_slam
 from vislam_edu.error_state import RightInvariant, RightPerturbation
 from vislam_edu.motion import Belief
 from vislam_edu.noise import Noise
@@ -22,7 +22,6 @@ def random_belief(seed=0, n=6, sigma=0.1):
     rng = np.random.default_rng(seed)
     A = rng.standard_normal((3 * n + 6, 3 * n + 6))
     P = sigma**2 * (A @ A.T / len(A) + 0.1 * np.eye(len(A)))
-    from vislam_edu import se3
     return Belief(se3.exp(rng.standard_normal(6)), 5 * rng.standard_normal((n, 3)), np.arange(10, 10 + n), P)
 
 
@@ -218,7 +217,8 @@ def test_the_pose_is_honest_before_and_after(closings):
 def test_closing_takes_the_drift_away_and_every_landmark_gains(closings):
     before, after = np.mean([c["error"] for c in closings], axis=0)
     assert after < 0.25 * before
-    assert max(c["grown"] for c in closings) < 1 + 1e-9 or np.median([c["grown"] for c in closings]) <= 1
+    # The invariant error itself never grows (`test_fusing_...`); what it is in metres depends on where the map now lies.
+    assert max(c["grown"] for c in closings) < 1.02
 
 
 def test_joint_compatibility_is_wrong_more_rarely_than_its_rivals(closings):
@@ -244,14 +244,16 @@ def test_the_batch_estimate_with_merged_places_corrects_the_past():
     drive = simulate.returning_loop(1)
     place = simulate.places(drive)
 
-    def rmse(place):
-        solution = batch.solve(batch.Problem(drive, NOISE, place=place))
+    def judged(solution):
         errors = metrics.position_errors(drive.true_world_T_imu, solution.estimate.world_T_imu)
-        return np.sqrt(np.mean(errors**2)), solution.pose_covariance([200])[0]
+        return np.sqrt(np.mean(errors**2)), np.trace(solution.pose_covariance([300])[0])
 
-    (apart, wide), (merged, narrow) = rmse(None), rmse(place)
-    assert merged < 0.6 * apart
-    assert np.linalg.eigvalsh(wide - narrow).min() > -1e-9
+    apart = batch.solve(batch.Problem(drive, NOISE))
+    closed = batch.Problem(drive, NOISE, place=place)
+    merged = batch.solve(closed, batch.start(closed, apart.estimate.world_T_imu))
+    (open_error, open_trace), (error, trace) = judged(apart), judged(merged)
+    assert error < 0.4 * open_error
+    assert trace < 0.5 * open_trace
 
 
 def test_a_filter_that_associates_nothing_is_as_before():
