@@ -264,8 +264,8 @@ def keep_apart(belief, k):
     return belief
 
 
-def run(drive, noise, error_state=None, *, motion_model=motion.ImuDriven, process_frame=correlated, retire=retire_unseen,
-        associate=keep_apart, gate=0.99, min_disparity=1.0, world_T_imu=None, after=None):
+def run(drive, noise, error_state=None, *, motion_model=motion.ImuDriven, process_frame=correlated,
+        retire=retire_unseen, associate=keep_apart, gate=0.99, min_disparity=1.0, world_T_imu=None, after=None):
     """The joint filter over a drive: yields one `Step` per frame, its beliefs `Belief`s.
 
     drive : Drive. noise : Noise. error_state : `RightPerturbation()` (the report's, the default) or another.
