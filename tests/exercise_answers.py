@@ -527,3 +527,181 @@ def _(world_T_imu, landmarks, delta):
     new = [(linalg.expm(wedge(np.r_[d, omega])) @ np.append(m, 1.0))[:3]
            for m, d in zip(landmarks, delta[:-6].reshape(-1, 3))]
     return linalg.expm(wedge(np.r_[delta[-6:-3], omega])) @ world_T_imu, new
+
+
+# --- chapter 11 -------------------------------------------------------------------------------------------
+
+
+@answer("twist_jacobians")
+def _(T_this, T_next, tau):
+    def twist(a, b):
+        X = linalg.logm(np.linalg.inv(T_this @ linalg.expm(wedge(a))) @ T_next @ linalg.expm(wedge(b))).real / tau
+        return np.r_[X[:3, 3], X[2, 1], X[0, 2], X[1, 0]]
+
+    h, zero = 1e-3, np.zeros(6)
+
+    def column(f):
+        return (8 * (f(h) - f(-h)) - (f(2 * h) - f(-2 * h))) / (12 * h)
+
+    return (np.array([column(lambda s, e=e: twist(s * e, zero)) for e in np.eye(6)]).T,
+            np.array([column(lambda s, e=e: twist(zero, s * e)) for e in np.eye(6)]).T)
+
+
+def _curly(x):
+    return np.block([[skew(x[3:]), skew(x[:3])], [np.zeros((3, 3)), skew(x[3:])]])
+
+
+@answer("twist_jacobians")
+def _(T_this, T_next, tau):
+    # J_l as the integral of exp(s xi^) over s from 0 to 1, out of one matrix exponential.
+    X = linalg.logm(np.linalg.inv(T_this) @ T_next).real
+    step = np.r_[X[:3, 3], X[2, 1], X[0, 2], X[1, 0]]
+
+    def left(x):
+        return linalg.expm(np.block([[_curly(x), np.eye(6)], [np.zeros((6, 12))]]))[:6, 6:]
+
+    return -np.linalg.inv(left(step)) / tau, np.linalg.inv(left(-step)) / tau
+
+
+@answer("schur")
+def _(H, g, n_poses):
+    both = np.linalg.solve(H, g)
+    return np.linalg.inv(np.linalg.inv(H)[:n_poses, :n_poses]), both[:n_poses], both[n_poses:]
+
+
+@answer("schur")
+def _(H, g, n_poses):
+    # Gaussian elimination, one landmark coordinate after the other.
+    A, b = H.copy(), g.copy()
+    for k in range(len(g) - 1, n_poses - 1, -1):
+        for i in range(k):
+            factor = A[i, k] / A[k, k]
+            A[i, :k + 1] = A[i, :k + 1] - factor * A[k, :k + 1]
+            b[i] -= factor * b[k]
+    x = np.zeros(len(g))
+    x[:n_poses] = np.linalg.solve(A[:n_poses, :n_poses], b[:n_poses])
+    for k in range(n_poses, len(g)):
+        x[k] = (b[k] - A[k, :k] @ x[:k]) / A[k, k]
+    return A[:n_poses, :n_poses], x[:n_poses], x[n_poses:]
+
+
+@answer("marquardt_step")
+def _(r, J, damping):
+    # The damping as one more residual for each unknown.
+    extra = np.diag(np.sqrt(damping * np.sum(J**2, axis=0)))
+    return np.linalg.lstsq(np.vstack([J, extra]), np.r_[-r, np.zeros(J.shape[1])])[0]
+
+
+@answer("marquardt_step")
+def _(r, J, damping):
+    H = J.T @ J
+    for k in range(len(H)):
+        H[k, k] *= 1 + damping
+    return -np.linalg.inv(H) @ (J.T @ r)
+
+
+@answer("robust_weight")
+def _(r, c):
+    q = [a @ a for a in r]
+    return [c * c * math.log(1 + x / c**2) for x in q], [c * c / (c * c + x) for x in q]
+
+
+@answer("robust_weight")
+def _(r, c):
+    q = np.linalg.norm(r, axis=1) ** 2
+    slope = np.log1p((q + 1e-20j) / c**2).imag * c**2 / 1e-20  # the derivative by a complex step
+    return c**2 * np.log1p(q / c**2), slope
+
+
+# --- chapter 12 -------------------------------------------------------------------------------------------
+
+
+@answer("pair_covariance")
+def _(landmarks, covariance, i, j):
+    A = np.zeros((3, len(landmarks), 3))
+    A[:, i], A[:, j] = I3, -I3
+    A = A.reshape(3, -1)
+    return A @ landmarks.ravel(), A @ covariance @ A.T
+
+
+@answer("pair_covariance")
+def _(landmarks, covariance, i, j):
+    # As variances of differences, entry by entry.
+    S = np.zeros((3, 3))
+    for a in range(3):
+        for b in range(3):
+            S[a, b] = (covariance[3 * i + a, 3 * i + b] - covariance[3 * i + a, 3 * j + b]
+                       - covariance[3 * j + a, 3 * i + b] + covariance[3 * j + a, 3 * j + b])
+    return landmarks[i] - landmarks[j], S
+
+
+@answer("joint_nis")
+def _(landmarks, covariance, pairs):
+    n = len(landmarks)
+    P = covariance.reshape(n, 3, n, 3)
+    d = np.concatenate([landmarks[i] - landmarks[j] for i, j in pairs])
+    S = np.block([[P[i, :, k] - P[i, :, l] - P[j, :, k] + P[j, :, l] for k, l in pairs] for i, j in pairs])
+    return d @ np.linalg.inv(S) @ d, stats.chi2.ppf(0.99, 3 * len(pairs))
+
+
+@answer("joint_nis")
+def _(landmarks, covariance, pairs):
+    # The whole map whitened: NIS is the squared length of the least correction that makes all pairs meet.
+    L = np.linalg.cholesky(covariance)
+    A = np.zeros((3 * len(pairs), len(covariance)))
+    for row, (i, j) in enumerate(pairs):
+        for a in range(3):
+            A[3 * row + a, 3 * i + a] = 1
+            A[3 * row + a, 3 * j + a] = -1
+    least = np.linalg.lstsq(A @ L, A @ landmarks.ravel())[0]
+    return least @ least, stats.chi2.isf(0.01, 3 * len(pairs))
+
+
+def _drop(landmarks, P, old):
+    keep = [k for k in range(len(landmarks)) if k != old]
+    rows = [3 * k + a for k in keep for a in range(3)]
+    return landmarks[keep], P[rows][:, rows]
+
+
+@answer("fuse_pair")
+def _(landmarks, covariance, new, old):
+    # One coordinate after the other: three scalar updates.
+    m, P = landmarks.ravel().copy(), covariance.copy()
+    for a in range(3):
+        h = np.zeros(len(P))
+        h[3 * new + a], h[3 * old + a] = 1, -1
+        K = P @ h / (h @ P @ h)
+        m, P = m - K * (h @ m), P - np.outer(K, h @ P)
+    return _drop(m.reshape(-1, 3), P, old)
+
+
+@answer("fuse_pair")
+def _(landmarks, covariance, new, old):
+    # In information form: add up the rows and columns of the two, they are one unknown.
+    n = len(landmarks)
+    keep = [k for k in range(n) if k != old]
+    A = np.zeros((n, n - 1))
+    for row in range(n):
+        A[row, keep.index(new if row == old else row)] = 1
+    A = np.kron(A, I3)
+    information = np.linalg.inv(covariance)
+    P = np.linalg.inv(A.T @ information @ A)
+    return (P @ A.T @ information @ landmarks.ravel()).reshape(-1, 3), P
+
+
+@answer("merge_ids")
+def _(n, pairs):
+    place = list(range(n))
+    for _ in range(n):
+        for a, b in pairs:
+            place[a] = place[b] = min(place[a], place[b])
+    return place
+
+
+@answer("merge_ids")
+def _(n, pairs):
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+    a, b = np.array(pairs, int).reshape(-1, 2).T
+    label = connected_components(coo_array((np.ones(len(a)), (a, b)), shape=(n, n)), directed=False)[1]
+    return [int(np.flatnonzero(label == label[i])[0]) for i in range(n)]

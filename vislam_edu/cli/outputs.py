@@ -12,9 +12,10 @@ import numpy as np
 
 from .. import metrics, recordings, se3
 from ..plots import report_figures, style
+from ..plots.graph import draw_batch
 
 
-def summary(result) -> dict:
+def summary(result, smoothed=None) -> dict:
     """The numbers that sum a run up; keys name their units.
 
     Counts: frames, landmarks (in the recording), landmarks_used (that entered the joint filter),
@@ -24,7 +25,8 @@ def summary(result) -> dict:
 
     With ground truth also position_rmse_m (the IMU's position, world = IMU frame at frame 0, no alignment),
     ate_m (after SE(3) alignment) and KITTI drift, of the left camera as in the benchmark, NaN for drives
-    under 100 m; those of dead reckoning carry its name. Last, as lists of sentences, changed (what was done
+    under 100 m; those of dead reckoning carry its name. With a batch estimate its seconds, iterations and the same
+    errors, under its name. Last, as lists of sentences, changed (what was done
     to the recording) and warnings (what speaks against the result).
     """
     drive, slam = result.drive, result.slam
@@ -43,6 +45,13 @@ def summary(result) -> dict:
         numbers |= _errors(drive, result.dead_reckoning.world_T_imu, "dead_reckoning_")
         percent, degrees = metrics.kitti_drift(drive.truth_world_T_cam, _world_T_cam(drive, slam.trajectory))
         numbers |= {"drift_percent": percent, "drift_deg_per_m": degrees}
+    if smoothed is not None:
+        poses = smoothed.solution.estimate.world_T_imu
+        numbers |= {"batch_s": smoothed.seconds, "batch_iterations": smoothed.solution.iterations}
+        if drive.true_world_T_imu is not None:
+            numbers |= _errors(drive, poses, "batch_")
+            world_T_cam = poses @ drive.camera.imu_T_cam
+            numbers["batch_drift_percent"] = metrics.kitti_drift(drive.truth_world_T_cam, world_T_cam)[0]
     return numbers | {"changed": list(drive.history), "warnings": result.warnings}
 
 
@@ -77,16 +86,17 @@ def _strict(value):
     return None if isinstance(value, float) and math.isnan(value) else value
 
 
-def write(result, folder):
+def write(result, folder, smoothed=None):
     """Write all that `python -m vislam_edu run` promises into an empty folder. Returns the summary.
 
     summary.json, null for NaN. kitti/trajectory.txt and tum/trajectory.txt, poses of the left camera in the
     frame of the first one (KITTI's convention). result.npz: poses of the IMU, covariances of right
     perturbations [position m, rotation rad], and the landmarks (m, world) that the filter used, with ids and
-    covariances. fig1_... to fig7_... .png.
+    covariances. fig1_... to fig7_... .png. smoothed : `pipeline.Smoothed` or None; its poses and landmarks are then in
+    result.npz too, and fig8_batch.png compares the paths.
     """
     folder, drive, slam = Path(folder), result.drive, result.slam
-    numbers = summary(result)
+    numbers = summary(result, smoothed)
     strict = {key: _strict(value) for key, value in numbers.items()}
     (folder / "summary.json").write_text(json.dumps(strict, indent=2) + "\n", encoding="utf-8")
     poses = _world_T_cam(drive, slam.trajectory)
@@ -104,7 +114,11 @@ def write(result, folder):
         landmark_ids=np.flatnonzero(slam.map.seen),
         landmarks=slam.map.landmarks[slam.map.seen],
         landmark_covariance=slam.map.covariance[slam.map.seen],
+        **({} if smoothed is None else {"batch_world_T_imu": smoothed.solution.estimate.world_T_imu,
+                                        "batch_landmarks": smoothed.solution.estimate.landmarks}),
     )
+    if smoothed is not None:
+        draw_batch(result, smoothed.solution.estimate.world_T_imu).savefig(folder / "fig8_batch.png", **style.PNG)
     for name, draw in report_figures.FIGURES.items():
         draw(result).savefig(folder / f"{name}.png", **style.PNG)
     return numbers

@@ -15,6 +15,9 @@ def add_arguments(parser):
                              "measured, measurements that must agree with each other")
     parser.add_argument("--causal", action="store_true",
                         help="with --audit: leave out the cures that need the whole drive")
+    parser.add_argument("--batch", action="store_true",
+                        help="estimate the whole drive at once as well, by least squares (with --audit: robust, with "
+                             "the gyro's bias and the scale of the speed)")
     parser.add_argument("--out", type=Path, required=True, metavar="DIR",
                         help="folder for figures, trajectories, result.npz and summary.json; made if missing")
     noise = parser.add_argument_group("noise, one standard deviation per sample and axis")
@@ -79,7 +82,7 @@ def run(arguments):
     from numpy.linalg import LinAlgError
     from tqdm import tqdm
 
-    from .. import consensus, window_slam
+    from .. import batch, consensus, window_slam
     from ..drive import DriveError
     from ..error_state import RightInvariant, RightPerturbation
     from ..studies import pipeline
@@ -103,7 +106,12 @@ def run(arguments):
         except LinAlgError as error:
             raise DriveError(f"{arguments.recording}: the filter broke down ({error}), a covariance is no "
                              "longer positive definite: give the sensors more noise") from None
-        numbers = outputs.write(result, folder)
+        smoothed = None
+        if arguments.batch:
+            problem = (batch.of_real_drive(drive, noise, scale_sigma=0.05) if arguments.audit
+                       else batch.Problem(drive, noise))
+            smoothed = pipeline.run_batch(problem, result.slam.trajectory.world_T_imu)
+        numbers = outputs.write(result, folder, smoothed)
     if not arguments.quiet:
         print(outputs.table(numbers))
         print(f"written to {arguments.out}")

@@ -7,7 +7,17 @@
 One module per chapter holds its exercises: statement, inputs, hints, and the wrong versions that people write.
 """
 
-from . import chapter01, chapter02, chapter03, chapter04, chapter05, chapter06, chapter07  # noqa: F401 - register
+from . import (  # noqa: F401 - register
+    chapter01,
+    chapter02,
+    chapter03,
+    chapter04,
+    chapter05,
+    chapter06,
+    chapter07,
+    chapter11,
+    chapter12,
+)
 from .check import check, hint, solution
 from .exercise import EXERCISES
 

@@ -25,6 +25,7 @@ COLOURS = {
     "slam": "#B5485E",
     "invariant": "#004488",
     "smoother": "#7A5FB0",
+    "batch": "#117744",
     # what it is: pixels, innovations, verdicts
     "measured": "#EE7733",
     "predicted": "#0055AA",
@@ -36,6 +37,27 @@ COLOURS = {
     "faded": "#B8B8B8",
 }
 
+# The same roles on a dark background: only those differ that would be too dark to see there.
+DARK = {
+    "truth": "#F0F0F0",
+    "localize": "#D070A0",
+    "slam": "#E07C90",
+    "invariant": "#6AA8FF",
+    "smoother": "#B09AE8",
+    "predicted": "#6AA8FF",
+    "rejected": "#FF6B50",
+    "prior": "#A0A0A0",
+    "posterior": "#6AA8FF",
+    "expected": "#B5B5B5",
+    "faded": "#606060",
+}
+
+# Ends and middle of a scale for numbers of both signs; zero is near the background, but painted.
+DIVERGING = {
+    "light": ("#053061", "#4393C3", "#FFFFFF", "#D6604D", "#67001F"),
+    "dark": ("#BFE0FF", "#3F8FD0", "#262626", "#D0603F", "#FFD2C0"),
+}
+
 LINESTYLES = {
     "truth": "-",
     "dead_reckoning": (0, (1, 1)),
@@ -45,6 +67,7 @@ LINESTYLES = {
     "slam": "--",
     "invariant": "-",
     "smoother": (0, (8, 2)),
+    "batch": "-",
     "measured": "none",
     "predicted": "none",
     "prior": "--",
@@ -61,6 +84,7 @@ LABELS = {
     "slam": "SLAM, right perturbation",
     "invariant": "SLAM, right-invariant",
     "smoother": "smoother",
+    "batch": "batch estimate",
 }
 
 _RC: dict[Any, Any] = {
@@ -93,6 +117,12 @@ PAGE = 100  # characters of a line that JupyterLab shows whole
 
 # For savefig: the name of matplotlib's version would make files differ that show the same.
 PNG: dict[str, Any] = {"metadata": {"Software": None}}
+
+
+def both_themes() -> dict[str, dict[str, Any]]:
+    """The colours of the series on a light and on a dark background, for what is drawn outside of Python."""
+    return {"light": {**COLOURS, "scale": DIVERGING["light"]},
+            "dark": {**COLOURS, **DARK, "scale": DIVERGING["dark"]}}
 
 
 def use():

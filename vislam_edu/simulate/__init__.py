@@ -3,7 +3,17 @@
 Here lives everything that makes a `Drive` instead of reading one. Nothing here estimates.
 """
 
-from .drives import IMAGE_SIZE, add_noise, first_steps, kitti_camera, perfect_street_loop, street_loop, street_loop_data
+from .drives import (
+    IMAGE_SIZE,
+    add_noise,
+    first_steps,
+    kitti_camera,
+    perfect_street_loop,
+    places,
+    returning_loop,
+    street_loop,
+    street_loop_data,
+)
 
-__all__ = ["IMAGE_SIZE", "add_noise", "first_steps", "kitti_camera", "perfect_street_loop", "street_loop",
-           "street_loop_data"]
+__all__ = ["IMAGE_SIZE", "add_noise", "first_steps", "kitti_camera", "perfect_street_loop", "places", "returning_loop",
+           "street_loop", "street_loop_data"]

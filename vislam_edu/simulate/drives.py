@@ -24,9 +24,10 @@ from . import faults, streets
 IMAGE_SIZE = (1241, 376)  # px, width and height
 SHORTEST_LOOP = 400.0  # m, unless asked for
 CAMERA_HEIGHT = 1.65  # m above the road
+FORGOTTEN = 100  # frames after which a place may be found again, as a new landmark
 NEAREST = 3.0  # m, a tracker loses what comes closer: it changes too much from frame to frame
 
-_ROAD, _TIMES, _TRACKS, _IMU, _PIXELS, _OUTLIERS = range(6)
+_ROAD, _TIMES, _TRACKS, _IMU, _PIXELS, _OUTLIERS, _RETURNING = range(7)
 
 
 def _stream(seed, purpose):
@@ -59,23 +60,40 @@ def _scene_points(rng, n, camera, image_size, depth):
     return ray * np.clip(np.minimum(np.minimum(ground, street_side), far_view), *depth)[:, None]
 
 
-def _tracks(rng, world_T_imu, camera, *, visible, life, mean_life, redetect_every, depth, image_size):
+def _with_old_places(rng, share, points, old, world_T_imu, camera, depth, image_size):
+    """The candidates (n, 3) of a detection, a share of them replaced by old places (m, 3) that this pose sees."""
+    pixels, _ = camera.observe(world_T_imu, old)
+    z = camera.to_cam(world_T_imu, old)[:, 2]
+    in_view = (z >= depth[0]) & (z <= depth[1]) & ((pixels > 0) & (pixels < np.tile(image_size, 2))).all(-1)
+    again = rng.permutation(np.unique(old[in_view], axis=0))
+    is_old = rng.random(len(points)) < share
+    is_old &= np.cumsum(is_old) <= len(again)
+    points[is_old] = again[:np.count_nonzero(is_old)]
+    return points
+
+
+def _tracks(rng, world_T_imu, camera, *, visible, life, mean_life, redetect_every, depth, image_size, returning,
+            rng_old):
     """Landmarks (M, 3) and what is seen of them: frame (N,), landmark (N,), pixels (N, 4), in this order.
 
     At each detection so many candidates become landmarks that the number in view, averaged until the next
     detection, is `visible`. A track ends when a random life is over, or when the point leaves one of the two
-    images or comes too near.
+    images or comes too near. With a share `returning` above 0, that share of the candidates are places that were seen
+    before and are in view again, as far as there are any: the tracker has lost them and gives them new numbers.
     """
     n_frames = len(world_T_imu)
     shortest, longest = life
     in_view = np.zeros(n_frames)
-    landmarks, observations = [], []
+    landmarks, observations, ends = [np.empty((0, 3))], [], [np.empty(0)]
     n_landmarks = k = 0
     while k <= n_frames - shortest:
         following = k + 1 + rng.poisson(redetect_every - 1)
         n = 2 * visible
         world_T_imu_ahead = world_T_imu[k : k + longest, None]
         points = camera.to_world(world_T_imu[k], _scene_points(rng, n, camera, image_size, depth))
+        if returning:
+            old = np.concatenate(landmarks)[np.concatenate(ends) < k - FORGOTTEN]
+            points = _with_old_places(rng_old, returning, points, old, world_T_imu[k], camera, depth, image_size)
         pixels, in_front = camera.observe(world_T_imu_ahead, points[None])
         trackable = in_front & ((pixels > 0) & (pixels < np.tile(image_size, 2))).all(-1)
         trackable &= pixels[..., 0] - pixels[..., 2] < camera.K[0, 0] * camera.baseline / NEAREST
@@ -92,6 +110,7 @@ def _tracks(rng, world_T_imu, camera, *, visible, life, mean_life, redetect_ever
         in_view += np.bincount(k + step, minlength=n_frames)
         observations.append((k + step, n_landmarks + which, pixels[step, chosen[which]]))
         landmarks.append(points[chosen])
+        ends.append(k + lives[chosen])
         n_landmarks += len(chosen)
         k = following
     frame, landmark, pixels = (np.concatenate(parts) for parts in zip(*observations))
@@ -116,6 +135,8 @@ def perfect_street_loop(
     mean_life=50.0,
     redetect_every=6,
     depth=(5.0, 120.0),
+    lane_change=0.0,
+    returning=0.0,
     camera=None,
     image_size=IMAGE_SIZE,
     name="street loop",
@@ -133,6 +154,9 @@ def perfect_street_loop(
         shortens it.
     redetect_every : mean number of frames between two detections; only there are landmarks born.
     depth : nearest and farthest depth at which a landmark is born, m.
+    lane_change : m to the left from the second lap on. returning : share of the candidates at a detection that are
+        places seen before, where there are any in view. Such a place gets a new number and the same row of
+        `truth_landmarks`.
     camera, image_size : by default `kitti_camera()` and its (width, height), px.
 
     The IMU sample k is the constant twist from frame k to k+1, exactly: `T[k+1] = T[k] exp(tau_k xi_k^)`. The
@@ -156,11 +180,12 @@ def perfect_street_loop(
     times = tau * np.arange(frames) + _stream(seed, _TIMES).uniform(-jitter / 2, jitter / 2, frames)
     times -= times[0]
     loop_length = max(speed * times[-1], SHORTEST_LOOP) if loop_length is None else loop_length
-    world_T_imu = streets.drive_along(_stream(seed, _ROAD), times, speed, loop_length, hills)
+    world_T_imu = streets.drive_along(_stream(seed, _ROAD), times, speed, loop_length, hills, lane_change)
     step = se3.log(se3.inverse(world_T_imu[:-1]) @ world_T_imu[1:]) / np.diff(times)[:, None]
     landmarks, frame, landmark, pixels = _tracks(
         _stream(seed, _TRACKS), world_T_imu, camera, visible=visible, life=life, mean_life=mean_life,
-        redetect_every=redetect_every, depth=depth, image_size=image_size,
+        redetect_every=redetect_every, depth=depth, image_size=image_size, returning=returning,
+        rng_old=_stream(seed, _RETURNING),
     )
     return Drive(
         times=times,
@@ -221,6 +246,28 @@ def first_steps():
         seed=0, frames=60, speed=7.0, loop_length=500.0, visible=14, life=(9, 100), mean_life=100.0,
         name="first steps",
     )
+
+
+def returning_loop(seed=0, *, laps=1.25, returning=0.7, **options):
+    """A `Drive` that comes back: a loop of 300 m, driven `laps` times, from the second lap on 0.5 m to the left.
+
+    About eight landmarks in view, 5 to 25 m away; the IMU twice as noisy as usual and the pixels 1.4 times. returning :
+    the share of what is detected on known road that was there before. options : of `street_loop`.
+    """
+    options = {"speed": 7.0, "loop_length": 300.0, "visible": 8, "depth": (5.0, 25.0), "mean_life": 100.0,
+               "lane_change": 0.5, "sigma_v": 1.0, "sigma_omega": 0.1, "sigma_px": 0.7 * 2**0.5,
+               "name": "returning loop"} | options
+    frames = 1 + round(10 * laps * options["loop_length"] / options["speed"])  # ten a second
+    return street_loop(seed, frames=frames, returning=returning, **options)
+
+
+def places(drive):
+    """(M,): of each track the first one that shows the same place, itself where there is none before it.
+
+    The ground truth of data association: two tracks with the same row of `truth_landmarks` are one place.
+    """
+    _, first, which = np.unique(drive.truth_landmarks, axis=0, return_index=True, return_inverse=True)
+    return first[which]
 
 
 def write(directory="data"):

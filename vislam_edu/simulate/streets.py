@@ -76,10 +76,11 @@ def _smooth_step(u):
     return u - np.sin(2 * np.pi * u) / (2 * np.pi)
 
 
-def drive_along(rng, times, speed, loop_length, hills):
+def drive_along(rng, times, speed, loop_length, hills, lane_change=0.0):
     """The poses world_T_imu (T, 4, 4) of a car that follows the streets; x east, y north, z up.
 
     rng : numpy Generator. times : (T,) s. speed : mean speed, m/s. loop_length : m once around. hills : RMS height, m.
+    lane_change : m to the left from the second lap on; it takes one corner's length of road.
 
     It slows down by half in corners, weaves within its lane, leans in corners and shakes a little on a rough
     road, so that all six degrees of freedom move. It starts along x. Raises ValueError when the loop is too short for
@@ -95,16 +96,20 @@ def drive_along(rng, times, speed, loop_length, hills):
     lap_time = cumulative_trapezoid(1 / pace, s, initial=0)
     lap_time *= loop_length / speed / lap_time[-1]
 
-    at = np.interp((times - times[0]) % lap_time[-1], lap_time, s)
+    laps, since = np.divmod(times - times[0], lap_time[-1])
+    at = np.interp(since, lap_time, s)
     heading, curvature, x, y = (np.interp(at, s, values) for values in (heading, curvature, x, y))
 
     lane = _Waves.draw(rng, loop_length, (40, 120), 0.3)
     hill = _Waves.draw(rng, loop_length, (100, 300), hills)
     heave, pitch, roll = (_Waves.draw(rng, loop_length, (8, 25), rms) for rms in (0.01, 0.004, 0.004))
 
-    x, y = x - lane(at) * np.sin(heading), y + lane(at) * np.cos(heading)
+    change = np.clip((loop_length * (laps - 1) + at) / CORNER_LENGTH, 0, 1)  # from 0 to 1 as the second lap begins
+    side = lane(at) + lane_change * _smooth_step(change)
+    side_slope = lane.slope(at) + lane_change * (1 - np.cos(2 * np.pi * change)) / CORNER_LENGTH
+    x, y = x - side * np.sin(heading), y + side * np.cos(heading)
     position = np.stack([x, y, hill(at) + heave(at)], -1)
-    yaw = heading + np.arctan2(lane.slope(at), 1 - curvature * lane(at))
+    yaw = heading + np.arctan2(side_slope, 1 - curvature * side)
     pitches = pitch(at) - np.arctan(hill.slope(at))  # nose up is a negative turn about y, which points left
     rolls = roll(at) + 0.3 * curvature
     return se3.pose(Rotation.from_euler("ZYX", np.stack([yaw, pitches, rolls], -1)).as_matrix(), position)

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from .. import kalman, mapping, motion, odometry, window_slam
+from .. import batch, kalman, mapping, motion, odometry, window_slam
 from ..drive import Drive
 from ..error_state import RightPerturbation
 from ..mapping import MapBelief
@@ -88,6 +88,22 @@ class Result:
         return [f"the gate kept out {100 * share:.0f} % of the measurements where {100 * expected:.2g} % is normal: "
                 "tracks, calibration or noise are not what the filter was told, so do not trust its covariance "
                 "(python -m vislam_edu audit shows which)"]
+
+
+@dataclass(frozen=True, eq=False)
+class Smoothed:
+    """What the batch estimate said. seconds : of the clock, what it took."""
+
+    solution: batch.Solution
+    seconds: float
+
+
+def run_batch(problem, world_T_imu) -> Smoothed:
+    """The batch estimate, from the filter's poses (T, 4, 4) on. problem : `batch.Problem`."""
+    begin = time.perf_counter()
+    tolerance = batch.REAL_TOLERANCE if problem.loss is batch.cauchy else 1e-4
+    solution = batch.solve(problem, batch.start(problem, world_T_imu), tolerance)
+    return Smoothed(solution, time.perf_counter() - begin)
 
 
 def no_progress(frames, **_):

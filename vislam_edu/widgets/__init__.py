@@ -1,8 +1,11 @@
-"""What a student moves: steppers through a filter's history, panels of sliders, and the pictures that they show.
+"""What a student moves: the explorer of a filter's history, panels of sliders, and the pictures that these show.
 
 Here lives everything that reacts. A widget works without a browser too, so that a test can move it.
 """
 
-from .stepper import SPEEDS, UNSEEN, Panel, Stepper
+from .explorer import BOTH, Explorer
+from .history import PathBelief
+from .panel import UNSEEN, Panel
+from .what_if import WhatIf
 
-__all__ = ["SPEEDS", "UNSEEN", "Panel", "Stepper"]
+__all__ = ["BOTH", "UNSEEN", "Explorer", "Panel", "PathBelief", "WhatIf"]

@@ -13,6 +13,7 @@ from PIL import Image
 
 from ..plots import style
 
+DPI, SHARP = 100, 2  # dots per inch of a stored picture; a live one has twice as many, for screens that show them
 _FAST, _SMALL = 1, 6  # zlib levels: for a picture that lives for one frame, and for one that is stored
 
 
@@ -93,7 +94,7 @@ class Picture:
         self._limits = {}
         self._background = None
         with style.context():
-            self.figure = Figure(figsize=self.size, dpi=100)
+            self.figure = Figure(figsize=self.size, dpi=DPI)
             self.figure.set_layout_engine("none")
             self.canvas = FigureCanvasAgg(self.figure)
             self.build()
@@ -130,13 +131,13 @@ class Picture:
     def png(self, *args, **state) -> bytes:
         """The picture of this state as fast as it can be had: what stands still is drawn once and kept."""
         self.draw(*args, **self.start | state)
-        return _png(self._pixels(), _FAST)
+        return _png(self._pixels(SHARP), _FAST)
 
     def still(self, *args, **state) -> Still:
-        """The picture of this state for keeping: the same pixels, packed small, with alternative text."""
+        """The picture of this state for keeping: fewer pixels, packed small, with alternative text."""
         state = self.start | state
         self.draw(*args, **state)
-        return Still(_png(self._pixels(), _SMALL), self.alt(*args, **state))
+        return Still(_png(self._pixels(1), _SMALL), self.alt(*args, **state))
 
     def frame(self, axes, centre, half):
         """Set equal axes to the square of half side `half` around `centre` (2,).
@@ -149,8 +150,11 @@ class Picture:
             axes.set(xlim=limits[::2], ylim=limits[1::2])
             self._background = None
 
-    def _pixels(self):
-        """The drawn figure, an RGB `PIL.Image`."""
+    def _pixels(self, scale):
+        """The drawn figure, an RGB `PIL.Image`. scale : dots per inch, as a multiple of `DPI`."""
+        if self.figure.dpi != scale * DPI:
+            self.figure.set_dpi(scale * DPI)
+            self._background = None
         if self._background is None:
             self._background = self._draw_background()
         self.canvas.restore_region(self._background)
@@ -170,44 +174,6 @@ class Picture:
         for artist, shown in zip(self._moving, visible):
             artist.set_visible(shown)
         return self.canvas.copy_from_bbox(self.figure.bbox)
-
-
-class StepPicture(Picture):
-    """A picture of a filter's history, in half-steps.
-
-    Half-step 2k is frame k as predicted, 2k + 1 is frame k after the cameras have spoken. `draw`, `caption`
-    and `alt` take the half-step `i` besides the controls.
-
-    steps : the history, a sequence of `kalman.Step`.
-    Raises ValueError for an empty history.
-    """
-
-    def __init__(self, steps):
-        self.steps = tuple(steps)
-        if not self.steps:
-            raise ValueError("a picture of a filter's history needs at least one step")
-        super().__init__()
-
-    @property
-    def n(self) -> int:
-        """Number of half-steps."""
-        return 2 * len(self.steps)
-
-    def step(self, i):
-        """The frame of half-step i and whether its update is done. Raises IndexError outside 0 ... n - 1."""
-        if not 0 <= i < self.n:
-            raise IndexError(f"half-step {i} of a history with half-steps 0 to {self.n - 1}")
-        return self.steps[i // 2], bool(i % 2)
-
-    def belief(self, i):
-        """What the filter believes at half-step i: the prior on even ones, the posterior on odd ones."""
-        step, updated = self.step(i)
-        return step.posterior if updated else step.prior
-
-    def when(self, i) -> str:
-        """Frame, time and phase of half-step i, as a caption begins."""
-        step, updated = self.step(i)
-        return f"frame {step.k}, {step.time:.1f} s, {'updated' if updated else 'predicted'}"
 
 
 def _png(image, level) -> bytes:

@@ -11,7 +11,7 @@ from ..noise import Noise
 from ..plots.style import COLOURS, ellipse_points, two_digits
 from ..studies.pipeline import right_pose_covariance
 from .canvas import Decades, Number, Picture, Switch
-from .joint import frame_nis
+from .history import frame_nis
 from .panels import LETTERING, TITLE, add_axes, legend, nis_band
 
 LEFT, YAW = 1, 5  # of the pose error: across the road, where an error of the heading shows, and the heading
@@ -92,8 +92,7 @@ class TuningPicture(Picture):
         claimed = np.array([step.posterior.pose_covariance for step in steps])
         right = np.array([right_pose_covariance(step.posterior, error_state) for step in steps])
         R = poses[:, :3, :3]
-        sensors = window_slam.UpdateSettings(self.drive.camera, noise, error_state, threshold=np.inf, min_disparity=0.0)
-        nis, numbers = np.transpose([frame_nis(step, sensors) for step in steps])
+        nis, numbers = np.transpose([frame_nis(step, self.drive, error_state) for step in steps])
         truth = self.drive.true_world_T_imu
         return Outcome(
             poses,
@@ -115,7 +114,7 @@ class TuningPicture(Picture):
         ]
         drive = self.drive
         again = drive.frame[drive.first_seen[drive.landmark] < drive.frame]  # a first view is no prediction's test
-        numbers = 3 * np.maximum(np.bincount(again, minlength=len(times)), 1)
+        numbers = 4 * np.maximum(np.bincount(again, minlength=len(times)), 1)
         band6 = np.tile(np.array(metrics.chi2_band(6, probability=0.95))[:, None], len(times))
         self.nees = self._build_test(
             (0.55, 0.32, 0.43, 0.16), "NEES of the pose, honest: 6", times, band6, 6, (0.1, 1e5)

@@ -1,0 +1,468 @@
+"""The whole drive at once: the poses and landmarks that fit all measurements best, by least squares.
+
+    solution = batch.solve(batch.Problem(drive, noise))
+    solution.estimate.world_T_imu, solution.cost
+
+The report states this objective (section 2.3). A filter passes every measurement once; here each is linearised again
+at every iteration. The unknowns are the poses T_k, the landmarks m_j and four constants of the IMU: its gyro bias b and
+the scale s of its speed. Each residual is divided by its standard deviation:
+
+    IMU       S xi_k + [0, b] - u_k,   xi_k = log(T_k^-1 T_{k+1})^v / tau_k,   S = diag(s, s, s, 1, 1, 1)
+    walk      xi_{k+1} - xi_k          a car cannot change its twist at once (optional)
+    prior     log(T_prior^-1 T_0)^v    ties the world down;  b and s - 1
+    pixels    h(T_k, m_j) - z_kj       three numbers: u_left, v, u_right
+
+The error of a pose is a right perturbation, T = T_hat exp(epsilon^). Columns are ordered [poses 6T, landmarks 3M,
+IMU 4].
+
+Sources: report section 2.3; Barfoot, State Estimation for Robotics (batch estimation, bundle adjustment, Schur
+complement); Triggs et al., Bundle adjustment: a modern synthesis, 2000 (robust weights, damping, sparsity).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from functools import cached_property
+from itertools import accumulate
+
+import numpy as np
+from scipy.linalg import LinAlgError, cho_solve_banded, cholesky_banded
+from scipy.sparse import bsr_array, csr_array, hstack, vstack
+from scipy.sparse.csgraph import reverse_cuthill_mckee
+
+from . import odometry, se3
+from .drive import Drive
+from .noise import Noise
+from .stereo import ROW_VARIANCE, ROWS, reduce_rows
+
+BEHIND = 1e4  # squared residual of a landmark that an iteration has put behind the camera: bad, but finite
+ALMOST_NOTHING = 1e-12  # 1/m^2, information about every landmark: where no camera measured one, nothing divides by 0
+DAMPING = 1e-9, 1e8  # least and most of Levenberg-Marquardt's lambda
+
+Loss = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
+
+
+def quadratic(squared: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Plain least squares: cost r^2 and weight 1 of squared residuals r^2 (n,)."""
+    return squared, np.ones_like(squared)
+
+
+def cauchy(squared: np.ndarray, c: float = 2.0) -> tuple[np.ndarray, np.ndarray]:
+    """Robust loss: cost c^2 log(1 + r^2 / c^2) and its derivative by r^2, the weight, of squared residuals r^2 (n,).
+
+    c : where the weight has fallen to one half, in standard deviations. Source: Triggs et al., section 3.
+
+    >>> cauchy(np.array([0.0, 4.0, 400.0]))[1].round(3).tolist()
+    [1.0, 0.5, 0.01]
+    """
+    return c**2 * np.log1p(squared / c**2), 1 / (1 + squared / c**2)
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """One value of all unknowns.
+
+    world_T_imu : (T, 4, 4). landmarks : (M, 3), m, world. imu : (4,), gyro bias in rad/s, scale of the speed.
+    """
+
+    world_T_imu: np.ndarray
+    landmarks: np.ndarray
+    imu: np.ndarray
+
+    def retract(self, delta: np.ndarray, anchor: np.ndarray) -> Estimate:
+        """The estimate after a step delta (6T + 3M + 4,), the same to first order as T exp(epsilon^) and m + delta.
+
+        anchor : (M,), for each landmark a frame that sees it.
+        Steps are large at first: a heading wrong by 30 degrees turns all that follows, and on straight lines the path
+        would tear. So the twist along each step of the path is corrected, the steps are joined anew, and each landmark
+        moves with its anchor. The IMU's residual is then linear, however large the step.
+        """
+        epsilon, landmarks, imu = np.split(delta, [6 * len(self.world_T_imu), len(delta) - 4])
+        epsilon = epsilon.reshape(-1, 6)
+        twist, by_this, by_next = path_twists(self.world_T_imu, np.ones(len(epsilon) - 1))
+        twist = twist + np.matvec(by_this, epsilon[:-1]) + np.matvec(by_next, epsilon[1:])
+        steps = [self.world_T_imu[0] @ se3.exp(epsilon[0]), *se3.exp(twist)]
+        poses = np.array(list(accumulate(steps, np.matmul)))
+
+        s = se3.transform(se3.inverse(self.world_T_imu[anchor]), self.landmarks)
+        moved = np.vecmat(landmarks.reshape(-1, 3), self.world_T_imu[anchor, :3, :3])
+        moved -= np.matvec(se3.odot(s)[:, :3], epsilon[anchor])
+        return Estimate(poses, se3.transform(poses[anchor], s + moved), self.imu + imu)
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """What is to be minimised.
+
+    walk_sigma : m/s and rad/s, how much the twist may change from frame to frame, or None for no such residual.
+    imu_sigma : (4,), standard deviations of the prior on bias and scale, 0 for a constant that is known.
+    loss : `quadratic` or `cauchy`, of the squared residual of one pixel measurement.
+    place : (M,), the row of the map that each track of the drive is a view of; by default each has its own.
+    prior_world_T_imu : (4, 4), mean of the prior on T_0, whose covariance is `noise.initial_pose_covariance`.
+    """
+
+    drive: Drive
+    noise: Noise
+    walk_sigma: tuple[float, float] | None = None
+    imu_sigma: np.ndarray = field(default_factory=lambda: np.zeros(4))
+    loss: Loss = quadratic
+    place: np.ndarray | None = None
+    prior_world_T_imu: np.ndarray = field(default_factory=lambda: np.eye(4))
+
+    @cached_property
+    def landmark(self) -> np.ndarray:
+        """(N,): the row of the map that each observation is a view of."""
+        return self.drive.landmark if self.place is None else np.asarray(self.place)[self.drive.landmark]
+
+    @cached_property
+    def anchor(self) -> np.ndarray:
+        """(M,): the first frame that sees each landmark, 0 where none does."""
+        first = np.zeros(self.drive.n_landmarks, dtype=int)
+        first[self.landmark[::-1]] = self.drive.frame[::-1]  # of several writes to one row the last one stays
+        return first
+
+    def by_frame(self, blocks: np.ndarray) -> bsr_array:
+        """Blocks (N, 6, 3), one for each observation, as a sparse matrix (6T, 3M) of frames and landmarks."""
+        return bsr_array((blocks, self.landmark, self.drive.frame_start),
+                         shape=(6 * self.drive.n_frames, 3 * self.drive.n_landmarks))
+
+    @cached_property
+    def rank(self) -> np.ndarray:
+        """(T,): when each frame is eliminated. Frames in which one landmark is seen should stand close together.
+
+        As driven, or by Cuthill and McKee where that is better: a car that comes back joins the ends of its drive.
+        """
+        T, N = self.drive.n_frames, len(self.landmark)
+        seen = csr_array((np.ones(N), self.landmark, self.drive.frame_start), shape=(T, self.drive.n_landmarks))
+        common = (seen @ seen.T).tocoo()
+        orders = np.arange(T), np.argsort(reverse_cuthill_mckee(common.tocsr(), symmetric_mode=True))
+        return min(orders, key=lambda rank: np.abs(rank[common.row] - rank[common.col]).max())
+
+
+REAL_TOLERANCE = 1e-3  # robust weights settle slowly, and the path has long stopped moving
+
+
+def of_real_drive(drive: Drive, noise: Noise, scale_sigma: float = 0.0) -> Problem:
+    """The problem of a real car: its twist changes slowly, its gyro has a bias, some tracks are wrong.
+
+    drive : Drive, cured. noise : Noise of the IMU as measured. scale_sigma : 0 where the speed's scale is known.
+    """
+    return Problem(drive, noise, (0.1, 0.015), np.array([0.02, 0.02, 0.02, scale_sigma]), cauchy)
+
+
+def start(problem: Problem, world_T_imu: np.ndarray | None = None) -> Estimate:
+    """Where the iterations begin: poses (T, 4, 4), by default dead reckoning, each landmark from its nearest view."""
+    drive = problem.drive
+    if world_T_imu is None:
+        world_T_imu = odometry.dead_reckon(drive, problem.noise, problem.prior_world_T_imu).world_T_imu
+    points, _ = drive.camera.triangulate(drive.pixels)
+    near_last = np.argsort(drive.pixels[:, 0] - drive.pixels[:, 2])
+    landmarks = np.zeros((drive.n_landmarks, 3))  # of several writes to one row the last one stays
+    landmarks[problem.landmark[near_last]] = drive.camera.to_world(world_T_imu[drive.frame], points)[near_last]
+    return Estimate(np.asarray(world_T_imu), landmarks, np.array([0.0, 0.0, 0.0, 1.0]))
+
+
+# --- residuals and their derivatives ------------------------------------------------------------------------
+
+
+def path_twists(world_T_imu: np.ndarray, taus: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The twist along each step of a path, xi_k = log(T_k^-1 T_{k+1})^v / tau_k, and its derivatives.
+
+    world_T_imu : (T, 4, 4). taus : (T-1,), s. Returns xi (T-1, 6), and by the right perturbation of T_k and of T_{k+1}
+    (T-1, 6, 6): -J_l^-1(tau xi) / tau and J_r^-1(tau xi) / tau.
+    """
+    step = se3.log(se3.inverse(world_T_imu[:-1]) @ world_T_imu[1:])
+    tau = taus[:, None, None]
+    return (step / taus[:, None], -se3.left_jacobian_inverse(step) / tau, se3.right_jacobian_inverse(step) / tau)
+
+
+def _sparse(n_frames: int, *blocks: np.ndarray) -> bsr_array:
+    """Sparse (6n, 6T) whose row i holds blocks[0][i] at frame i, blocks[1][i] at frame i + 1, ...; each (n, 6, 6)."""
+    n, width = len(blocks[0]), len(blocks)
+    columns = np.arange(n)[:, None] + np.arange(width)
+    return bsr_array((np.stack(blocks, axis=1).reshape(-1, 6, 6), columns.ravel(), width * np.arange(n + 1)),
+                     shape=(6 * n, 6 * n_frames))
+
+
+def motion_residuals(problem: Problem, estimate: Estimate) -> tuple[np.ndarray, bsr_array, np.ndarray]:
+    """All residuals without a landmark: prior on T_0, IMU, walk. Each is divided by its standard deviation.
+
+    Returns r (n,), its derivative by the poses, sparse (n, 6T), and by the constants of the IMU (n, 4).
+    """
+    drive, noise, T = problem.drive, problem.noise, problem.drive.n_frames
+    xi, by_this, by_next = path_twists(estimate.world_T_imu, drive.taus)
+
+    whiten = np.linalg.inv(np.linalg.cholesky(noise.initial_pose_covariance))
+    e0 = se3.log(se3.inverse(problem.prior_world_T_imu) @ estimate.world_T_imu[0])
+    rows = [(whiten @ e0, _sparse(T, (whiten @ se3.right_jacobian_inverse(e0))[None]), np.zeros((6, 4)))]
+
+    bias, scale = estimate.imu[:3], estimate.imu[3]
+    gain = np.repeat([scale, 1.0], 3)
+    weight = 1 / np.repeat([noise.sigma_v, noise.sigma_omega], 3)
+    by_imu = np.zeros((T - 1, 6, 4))
+    by_imu[:, 3:, :3], by_imu[:, :3, 3] = np.eye(3), xi[:, :3]
+    scaled = (weight * gain)[:, None]
+    rows.append(((weight * (gain * xi + np.pad(bias, (3, 0)) - drive.step_twists)).ravel(),
+                 _sparse(T, scaled * by_this, scaled * by_next), (weight[:, None] * by_imu).reshape(-1, 4)))
+
+    if problem.walk_sigma is not None:
+        weight = 1 / np.repeat(problem.walk_sigma, 3)
+        w = weight[:, None]
+        rows.append(((weight * np.diff(xi, axis=0)).ravel(),
+                     _sparse(T, -w * by_this[:-1], w * (by_this[1:] - by_next[:-1]), w * by_next[1:]),
+                     np.zeros((6 * (T - 2), 4))))
+    r, J, J_imu = zip(*rows)
+    return np.concatenate(r), vstack(J, format="bsr"), np.concatenate(J_imu)
+
+
+def pixel_residuals(problem: Problem, estimate: Estimate) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Predicted minus measured pixels, [u_left, v, u_right], divided by their standard deviations.
+
+    Returns r (N, 3), derivatives by the pose (N, 3, 6) and the landmark (N, 3, 3) of each observation, and in_front
+    (N,). Where a landmark is not in front of the camera all three are zero.
+    """
+    drive = problem.drive
+    poses, landmarks = estimate.world_T_imu[drive.frame], estimate.landmarks[problem.landmark]
+    points = drive.camera.to_cam(poses, landmarks)
+    predicted, in_front = drive.camera.project(points)
+    weight = in_front[:, None] / (problem.noise.sigma_px * np.sqrt(ROW_VARIANCE))
+    J = weight[..., None] * drive.camera.measurement_jacobian(points)[:, ROWS]
+    s = se3.transform(se3.inverse(poses), landmarks)
+    by_pose = np.concatenate([-J, J @ se3.so3_hat(s)], axis=-1)
+    by_landmark = J @ np.swapaxes(poses[:, :3, :3], -1, -2)
+    return weight * reduce_rows(predicted - drive.pixels), by_pose, by_landmark, in_front
+
+
+@dataclass(frozen=True, eq=False)
+class Linearised:
+    """All residuals at one estimate and their derivatives; those of the pixels times the root of their robust weight.
+
+    cost : what is minimised. r, J, J_imu : see `motion_residuals`, the prior on the IMU's constants left out.
+    r_px, J_pose, J_landmark : see `pixel_residuals`. r_imu : (4,), constants minus their prior mean, not divided.
+    """
+
+    problem: Problem
+    cost: float
+    r: np.ndarray
+    J: bsr_array
+    J_imu: np.ndarray
+    r_px: np.ndarray
+    J_pose: np.ndarray
+    J_landmark: np.ndarray
+    r_imu: np.ndarray
+
+    def whole(self) -> tuple[np.ndarray, csr_array]:
+        """Residuals (n,) and their whole sparse Jacobian (n, 6T + 3M), IMU constants taken as known: to look at."""
+        problem, N = self.problem, len(self.r_px)
+        drive, rows = problem.drive, np.arange(N + 1)
+        by_pose = bsr_array((self.J_pose, drive.frame, rows), shape=(3 * N, 6 * drive.n_frames))
+        by_landmark = bsr_array((self.J_landmark, problem.landmark, rows), shape=(3 * N, 3 * drive.n_landmarks))
+        nothing = csr_array((len(self.r), 3 * drive.n_landmarks))
+        return (np.concatenate([self.r, self.r_px.ravel()]),
+                vstack([hstack([self.J, nothing]), hstack([by_pose, by_landmark])], format="csr"))
+
+
+def linearise(problem: Problem, estimate: Estimate) -> Linearised:
+    """The problem at an estimate: cost, residuals, derivatives."""
+    r, J, J_imu = motion_residuals(problem, estimate)
+    r_px, J_pose, J_landmark, in_front = pixel_residuals(problem, estimate)
+    cost_px, weight = problem.loss(np.where(in_front, np.sum(r_px**2, axis=-1), BEHIND))
+    root = np.sqrt(weight)[:, None]
+    r_imu = estimate.imu - [0, 0, 0, 1]
+    free = problem.imu_sigma > 0
+    cost = r @ r + cost_px.sum() + np.sum((r_imu[free] / problem.imu_sigma[free])**2)
+    return Linearised(problem, float(cost), r, J, J_imu, root * r_px, root[..., None] * J_pose,
+                      root[..., None] * J_landmark, r_imu)
+
+
+# --- the normal equations -----------------------------------------------------------------------------------
+
+
+class NormalEquations:
+    """H delta = g with H = J^T J and g = -J^T r, in blocks: poses, landmarks, constants of the IMU.
+
+        U    E   B         poses: each frame touches few others
+        E^T  V   0         landmarks: V is block diagonal, no residual holds two of them
+        B^T  0   D
+    """
+
+    def __init__(self, at: Linearised):
+        self.problem = problem = at.problem
+        T, M, N = problem.drive.n_frames, problem.drive.n_landmarks, len(at.r_px)
+        to_frame = csr_array((np.ones(N), np.arange(N), problem.drive.frame_start), shape=(T, N))  # sums observations
+        to_landmark = csr_array((np.ones(N), (problem.landmark, np.arange(N))), shape=(M, N))
+        poseT, landmarkT = np.swapaxes(at.J_pose, 1, 2), np.swapaxes(at.J_landmark, 1, 2)
+
+        def total(sums, blocks):
+            return (sums @ blocks.reshape(N, -1)).reshape(-1, *blocks.shape[1:])
+
+        self.U = (at.J.T @ at.J + _sparse(T, total(to_frame, poseT @ at.J_pose))).tobsr((6, 6))
+        self.V = total(to_landmark, landmarkT @ at.J_landmark) + ALMOST_NOTHING * np.eye(3)
+        self.E = problem.by_frame(poseT @ at.J_landmark)
+        self.free = np.flatnonzero(problem.imu_sigma > 0)
+        information = problem.imu_sigma[self.free]**-2.0
+        self.B = at.J.T @ at.J_imu[:, self.free]
+        self.D = at.J_imu[:, self.free].T @ at.J_imu[:, self.free] + np.diag(information)
+        self.g = np.concatenate([
+            -at.J.T @ at.r - total(to_frame, np.matvec(poseT, at.r_px)).ravel(),
+            -total(to_landmark, np.matvec(landmarkT, at.r_px)).ravel(),
+            -at.J_imu[:, self.free].T @ at.r - information * at.r_imu[self.free]])
+
+
+class Factorised:
+    """The normal equations ready to be solved: landmarks eliminated first, then the poses, then the IMU's constants.
+
+    With V = L L^T and F = E L^-T the landmarks leave S = U - F F^T to the poses (the Schur complement). Two frames are
+    neighbours in S when one landmark is seen in both, so S is a band as wide as the longest track. The constants of the
+    IMU touch every frame: a border of the band.
+
+    damping : lambda of Levenberg-Marquardt, H + lambda diag(H).
+    Raises LinAlgError when H is not positive definite (in floating point numbers).
+    """
+
+    def __init__(self, normal: NormalEquations, damping: float = 0.0):
+        problem = normal.problem
+        V = normal.V + damping * normal.V * np.eye(3)
+        self.L_inverse = np.linalg.inv(np.linalg.cholesky(V))
+        L_inverseT = np.swapaxes(self.L_inverse, 1, 2)
+        self.F = problem.by_frame(normal.E.data @ L_inverseT[problem.landmark])
+        self.S = (normal.U - self.F @ self.F.T).tocoo()
+        self.place = (6 * problem.rank[:, None] + np.arange(6)).ravel()  # of each row of S in the band
+        row, column = self.place[self.S.row], self.place[self.S.col]
+        below = row >= column
+        band = np.zeros(((row - column).max() + 1, len(self.place)))
+        band[(row - column)[below], column[below]] = self.S.data[below]
+        band[0, self.place] += damping * normal.U.diagonal()
+        self.band = cholesky_banded(band, lower=True, overwrite_ab=True, check_finite=False)
+        self.B = normal.B
+        self.S_B = self._poses(normal.B)
+        D = normal.D + damping * normal.D * np.eye(len(normal.D))
+        self.D_inverse = np.linalg.inv(D - normal.B.T @ self.S_B)
+
+    def _poses(self, right: np.ndarray) -> np.ndarray:
+        """S^-1 times right (6T, n)."""
+        ordered = np.empty_like(right)
+        ordered[self.place] = right
+        return cho_solve_banded((self.band, True), ordered, overwrite_b=True, check_finite=False)[self.place]
+
+    def solve(self, g: np.ndarray) -> np.ndarray:
+        """H^-1 times g (6T + 3M + f, n): f constants of the IMU are unknown."""
+        poses, n = len(self.place), g.shape[1]
+        end = len(g) - len(self.D_inverse)
+
+        def each(blocks, x):  # (M, 3, 3) times (3M, n)
+            return (blocks @ x.reshape(len(blocks), 3, n)).reshape(-1, n)
+
+        landmarks = each(self.L_inverse, g[poses:end])
+        x = self._poses(g[:poses] - self.F @ landmarks)
+        imu = self.D_inverse @ (g[end:] - self.B.T @ x)
+        x = x - self.S_B @ imu
+        landmarks = each(np.swapaxes(self.L_inverse, 1, 2), landmarks - self.F.T @ x)
+        return np.concatenate([x, landmarks, imu])
+
+
+# --- iterations ---------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Iteration:
+    """One accepted step. estimate : after it. cost : there. damping : lambda of the step. tried : lambdas it took."""
+
+    estimate: Estimate
+    cost: float
+    damping: float
+    tried: int
+
+
+def iterate(problem: Problem, estimate: Estimate | None = None, damping: float = 1e-4,
+            tolerance: float = 1e-4, most: int = 50) -> Iterator[Iteration]:
+    """Levenberg-Marquardt: yields the start, then every step that lowered the cost.
+
+    A step that raises the cost, or a matrix that is not positive definite, makes lambda ten times larger and is tried
+    again; a good step makes it ten times smaller. Ends when a step lowers the cost by less than `tolerance` of it.
+    Source: Marquardt, An algorithm for least-squares estimation of nonlinear parameters, 1963.
+    """
+    estimate = start(problem) if estimate is None else estimate
+    at = linearise(problem, estimate)
+    yield Iteration(estimate, at.cost, damping, 0)
+    for _ in range(most):
+        normal, tried, before = NormalEquations(at), 0, at.cost
+        while damping < DAMPING[1]:
+            tried += 1
+            try:
+                step = Factorised(normal, damping).solve(normal.g[:, None])[:, 0]
+            except LinAlgError:
+                damping *= 10
+                continue
+            moved = estimate.retract(_whole(step, normal), problem.anchor)
+            at = linearise(problem, moved)
+            if at.cost <= before:
+                break
+            damping *= 10
+        else:
+            return
+        estimate = moved
+        yield Iteration(estimate, at.cost, damping, tried)
+        damping = max(damping / 10, DAMPING[0])
+        if before - at.cost < tolerance * before:
+            return
+
+
+def _whole(step: np.ndarray, normal: NormalEquations) -> np.ndarray:
+    """The step with zeros for the IMU's known constants."""
+    imu = np.zeros(4)
+    end = len(step) - len(normal.free)
+    imu[normal.free] = step[end:]
+    return np.concatenate([step[:end], imu])
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """Where the iterations end. iterations : how many steps were taken."""
+
+    problem: Problem
+    estimate: Estimate
+    cost: float
+    iterations: int
+
+    @cached_property
+    def _factorised(self) -> Factorised:
+        return Factorised(NormalEquations(linearise(self.problem, self.estimate)))
+
+    def pose_covariance(self, frames: np.ndarray) -> np.ndarray:
+        """(n, 6, 6): marginal covariance of the right perturbation of each of the frames (n,)."""
+        return self._covariance(6 * np.asarray(frames)[:, None] + np.arange(6))
+
+    def landmark_covariance(self, landmarks: np.ndarray) -> np.ndarray:
+        """(n, 3, 3), m^2, world: marginal covariance of each of the landmarks (n,)."""
+        first = 6 * self.problem.drive.n_frames
+        return self._covariance(first + 3 * np.asarray(landmarks)[:, None] + np.arange(3))
+
+    def _covariance(self, rows: np.ndarray) -> np.ndarray:
+        """Blocks of H^-1, (n, d, d): the columns asked for are solved for, the others never formed. rows : (n, d)."""
+        unit = np.zeros((6 * self.problem.drive.n_frames + 3 * self.problem.drive.n_landmarks
+                         + np.count_nonzero(self.problem.imu_sigma), rows.size))
+        unit[rows.ravel(), np.arange(rows.size)] = 1
+        columns = self._factorised.solve(unit)
+        n, d = rows.shape
+        return columns[rows.ravel()].reshape(n, d, n, d)[np.arange(n), :, np.arange(n)]
+
+
+def solve(problem: Problem, estimate: Estimate | None = None, tolerance: float = 1e-4) -> Solution:
+    """The estimate of the least cost. estimate, tolerance : see `iterate`."""
+    for n, last in enumerate(iterate(problem, estimate, tolerance=tolerance)):  # noqa: B007
+        pass
+    return Solution(problem, last.estimate, last.cost, n)
+
+
+# --- the same by hand, on a small drive -------------------------------------------------------------------
+
+
+def gauss_newton_step(r: np.ndarray, J: np.ndarray) -> np.ndarray:
+    """The step that minimises |r + J delta|^2: the normal equations J^T J delta = -J^T r, dense. r (n,), J (n, m).
+
+    >>> gauss_newton_step(np.array([1.0, 3.0]), np.array([[1.0], [1.0]])).tolist()
+    [-2.0]
+    """
+    return np.linalg.solve(J.T @ J, -J.T @ r)

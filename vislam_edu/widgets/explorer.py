@@ -1,0 +1,211 @@
+"""The explorer: a filter's history, packed once and drawn in the browser, where every half-step can be touched.
+
+    Explorer(window_slam.run(drive, noise), drive)
+
+The front end is `explorer.js`, one ES module without dependencies, loaded by anywidget in a notebook and by
+`save_html` in a page that needs neither kernel nor network.
+"""
+
+import base64
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from html import escape
+from pathlib import Path
+from typing import Any
+
+import anywidget
+import traitlets
+
+from ..drive import Drive
+from ..error_state import ErrorState, RightInvariant
+from . import explorer_still, history, packing
+from .canvas import Still
+from .history import History
+
+MODULE = Path(__file__).with_name("explorer.js")
+BOTH = 2  # value of `show`: both runs side by side
+
+PAGE = """<!doctype html>
+<html lang="en">
+<meta charset="utf-8">
+<meta name="viewport" content="width=device-width">
+<title>{title}</title>
+<style>
+:root {{ color-scheme: light dark; }}
+body {{ font-family: system-ui, sans-serif; max-width: 1100px; margin: 1em auto; padding: 0 1em;
+       color: #1a1a1a; background: #fff; }}
+@media (prefers-color-scheme: dark) {{ body {{ color: #e8e8e8; background: #161616; }} }}
+</style>
+<h1 style="font-size:1.3em">{title}</h1>
+<div id="explorer"></div>
+<script id="header" type="application/json">{header}</script>
+<script id="data" type="application/octet-stream;base64">{data}</script>
+<script type="module">
+{module}
+render({{ model: pageModel(), el: document.getElementById("explorer") }});
+</script>
+</html>
+"""
+
+
+class Explorer(anywidget.AnyWidget):
+    """Map, joint covariance, one landmark and errors through time of a filter's history, linked.
+
+    Parameters
+    ----------
+    steps : iterable of `kalman.Step`, from `window_slam.run`, `mapping.run`, `odometry.localize` or any other
+        generator of Steps whose beliefs are a joint `Belief`, a `MapBelief` or a `PoseBelief` (such as a filter of
+        your own); or a dict {name: steps} of two runs over the same drive, which are shown side by side.
+    drive : Drive that the steps were run on; its truth is drawn where it has one.
+    error_state : `ErrorState` of a joint filter, `RightPerturbation()` by default; for two runs one for both, or a
+        dict {name: ErrorState}.
+    world_T_imu : (T, 4, 4), the poses given to a filter that estimates a map only.
+    name : of the run, shown in the widget's text.
+    start : the half-step to begin with (2k is frame k predicted, 2k + 1 is frame k updated); the last by default.
+    landmark : id of the landmark that is chosen at first; by default the one that stays longest.
+    show : which run, 0 or 1, or `BOTH`; of two runs both by default.
+    quantity : what is drawn through time at first: "forward error" (the default), "left error", "heading error",
+        "NEES of the pose", "NIS / numbers".
+
+    Raises KeyError for an unknown quantity, and ValueError for an empty history, runs of different length, or more than `packing.LIMIT` bytes.
+
+    Attributes
+    ----------
+    half_step, landmark, show : what is shown, kept the same in the browser and in Python.
+    histories : list of `history.History`.
+
+    Other histories: `Explorer.from_beliefs`. New data in a widget that is on the page: `update`. A page: `save_html`.
+
+    Example
+    -------
+    >>> from vislam_edu import recordings, window_slam
+    >>> from vislam_edu.noise import Noise
+    >>> drive = recordings.load(recordings.find("first_steps.npz")).slice(0, 5)
+    >>> Explorer(window_slam.run(drive, Noise()), drive, name="joint filter")
+    Explorer(joint filter, 10 half-steps)
+    """
+
+    _esm = MODULE
+    header = traitlets.Dict().tag(sync=True)
+    data = traitlets.Bytes().tag(sync=True)
+    half_step = traitlets.Int().tag(sync=True)
+    landmark = traitlets.Int(-1).tag(sync=True)
+    show = traitlets.Int(0).tag(sync=True)
+
+    def __init__(self, steps: Iterable | Mapping[str, Iterable], drive: Drive,
+                 error_state: ErrorState | Mapping[str, ErrorState] | None = None, *, world_T_imu=None,
+                 name: str = "filter", start: int | None = None, landmark: int | None = None, show: int | None = None,
+                 quantity: str | None = None):
+        self._open(_histories(steps, drive, error_state, world_T_imu, name), drive, start, landmark, show, quantity)
+
+    def _open(self, histories: list[History], drive, start, landmark, show, quantity=None):
+        """Pack the histories and open the widget."""
+        self.histories, self.drive = histories, drive
+        start = len(histories[0].snapshots) - 1 if start is None else start
+        landmark = longest_seen(histories[0]) if landmark is None else landmark
+        show = (BOTH if len(histories) > 1 else 0) if show is None else show
+        header, data = packing.pack(histories, drive, start, landmark, show, quantity)
+        super().__init__(header=header, data=data, half_step=start, landmark=landmark, show=show)
+
+    @classmethod
+    def from_beliefs(cls, labels: Sequence[str], beliefs: Sequence[Any], drive: Drive, *, name: str = "estimate",
+                     unit: str = "iteration", error_state: ErrorState | None = None,
+                     frames: Sequence[int] | None = None, captions: Sequence[str] = (),
+                     series: Mapping[str, Sequence[float]] | None = None, start: int | None = None,
+                     landmark: int | None = None) -> "Explorer":
+        """An explorer whose slider steps through single beliefs: iterations, pairs fused, keyframes.
+
+        labels : n texts, such as "iteration 3" or "2 pairs fused". beliefs : n of `motion.Belief` (one pose and its
+        landmarks) or `history.PathBelief` (a whole path and its landmarks, covariances where they are known).
+        name : of the estimate. unit : what one position of the slider is, such as "iteration" or "pair fused".
+        error_state : of the beliefs' covariances, `RightPerturbation()` by default.
+        frames : n frames of the drive, those of the beliefs' (last) poses; by default its last frame.
+        captions : n texts, by default what changed from one belief to the next.
+        series : {name: n numbers} to be drawn below, such as the cost of each iteration. start, landmark : as above.
+        Raises ValueError when labels and beliefs differ in number or the data are too large.
+
+        Example: `Explorer.from_beliefs([f"iteration {i}" for i in range(n)], beliefs, drive, series={"cost": costs})`.
+        """
+        self = cls.__new__(cls)
+        one = history.from_beliefs(labels, beliefs, drive, name=name, unit=unit, error_state=error_state,
+                                   frames=frames, captions=captions, series=series)
+        self._open([one], drive, start, landmark, 0)
+        return self
+
+    def update(self, steps: Iterable | Mapping[str, Iterable],
+               error_state: ErrorState | Mapping[str, ErrorState] | None = None, *, world_T_imu=None,
+               name: str | None = None) -> None:
+        """Show other steps of the same drive in the same place; what is chosen stays chosen. Arguments as above."""
+        name = self.histories[0].name if name is None else name
+        self.histories = _histories(steps, self.drive, error_state, world_T_imu, name)
+        start = min(self.half_step, len(self.histories[0].snapshots) - 1)
+        header, data = packing.pack(self.histories, self.drive, start, self.landmark, self.show,
+                                    self.header["quantity"])
+        with self.hold_sync():
+            self.half_step, self.header, self.data = start, header, data
+
+    def caption(self, i: int, run: int = 0) -> str:
+        """What led to snapshot i of a run, in words: the line below the views."""
+        shot = self.histories[run].snapshots[i]
+        return f"{shot.label}: {shot.caption}."
+
+    @property
+    def n(self) -> int:
+        """Number of positions of the slider."""
+        return self.header["n"]
+
+    def save_html(self, path: str | Path, title: str | None = None) -> Path:
+        """Write the explorer as one HTML file that works without kernel and network; returns its path."""
+        path = Path(path)
+        path.write_text(explorer_page(self, title or " and ".join(h.name for h in self.histories)), encoding="utf-8")
+        return path
+
+    def still(self, i: int | None = None, show: int | None = None) -> Still:
+        """The picture of snapshot i, by default what is shown, as an output that needs no script."""
+        png, alt = explorer_still.draw(dict(self.header), self.data, self.half_step if i is None else i,
+                                       self.landmark, self.show if show is None else show)
+        return Still(png, alt)
+
+    def __repr__(self):
+        """Fixed, so that a notebook's stored text never depends on what is shown or on an address."""
+        names = " and ".join(one.name for one in self.histories)
+        return f"Explorer({names}, {self.n} {self.histories[0].unit}s)"
+
+    def _repr_mimebundle_(self, **kwargs):
+        """The live widget, and the still picture with its alternative text for where no script runs."""
+        bundle = super()._repr_mimebundle_(**kwargs)
+        data, metadata = bundle if isinstance(bundle, tuple) else (bundle, {})
+        still, its_metadata = self.still()._repr_mimebundle_()
+        return {**data, "image/png": still["image/png"]}, {**metadata, **its_metadata}
+
+
+def explorer_page(explorer: Explorer, title: str) -> str:
+    """The explorer as an HTML page, in the state that it is in, with everything it needs inside."""
+    header = {**explorer.header, "start": explorer.half_step, "landmark": explorer.landmark, "show": explorer.show}
+    # "</script" cannot occur in base64; in the texts of the header its "<" is written as an escape.
+    return PAGE.format(title=escape(title), header=json.dumps(header).replace("<", "\\u003c"),
+                       data=base64.b64encode(explorer.data).decode(), module=MODULE.read_text(encoding="utf-8"))
+
+
+def _histories(steps, drive, error_state, world_T_imu, name) -> list[History]:
+    """One history, or one for each entry of a dict."""
+    runs = steps if isinstance(steps, Mapping) else {name: steps}
+    states = error_state if isinstance(error_state, Mapping) else dict.fromkeys(runs, error_state)
+    if not 1 <= len(runs) <= BOTH:
+        raise ValueError(f"an explorer shows one run or two, got {len(runs)}")
+    colours: list[str] = []
+    for key in runs:
+        role = "invariant" if isinstance(states.get(key), RightInvariant) else "slam"
+        colours.append("report" if role in colours else role)
+    return [history.from_steps(key, one, drive, states.get(key), colour=colour, world_T_imu=world_T_imu)
+            for (key, one), colour in zip(runs.items(), colours)]
+
+
+def longest_seen(one: History) -> int:
+    """The id that is in most snapshots, or in most sights where no landmark is estimated; -1 for none."""
+    counts: dict[int, int] = {}
+    for snapshot in one.snapshots:
+        ids = snapshot.ids if len(snapshot.ids) or snapshot.sight is None else snapshot.sight.ids
+        for landmark in ids.tolist():
+            counts[landmark] = counts.get(landmark, 0) + 1
+    return max(counts, key=lambda key: (counts[key], -key), default=-1)

@@ -1,0 +1,402 @@
+"""The history of a filter as a list of snapshots: what the explorer shows, before it is packed for the browser.
+
+A frame of a filter gives two snapshots, its belief before and after the update. A batch estimate gives one per
+iteration, a loop closure one per pair that is fused.
+"""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from .. import kalman, metrics, se3
+from ..drive import Drive
+from ..error_state import ErrorState, RightInvariant, RightPerturbation
+from ..studies.pipeline import right_pose_covariance, world_landmark_covariance
+from .panels import nis_band
+
+NOBODY = np.empty(0, int)
+MOTION_ROWS = ["v x", "v y", "v z", "ω x", "ω y", "ω z", "bias x", "bias y", "bias z"]
+POSE_ERRORS = [("forward", 0, 1.0, "m"), ("left", 1, 1.0, "m"), ("heading", 5, 180 / np.pi, "°")]
+
+
+@dataclass(frozen=True, eq=False)
+class PathBelief:
+    """An estimate of a whole path and a map, as a batch estimate has after each iteration.
+
+    path : (P, 4, 4), world_T_imu. ids : (n,), landmarks : (n, 3) m, landmark_covariance : (n, 3, 3) m^2, world.
+    path_covariance : (P, 6, 6) of each pose as a right perturbation, m and rad, or None.
+    covariance : (3n+6, 3n+6), order [landmarks, last pose], or None where the joint covariance is not computed.
+    """
+
+    path: np.ndarray
+    ids: np.ndarray
+    landmarks: np.ndarray
+    landmark_covariance: np.ndarray
+    path_covariance: np.ndarray | None = None
+    covariance: np.ndarray | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Sight:
+    """The measurements of one frame in the left image, for n landmarks that were predicted.
+
+    ids : (n,). measured, predicted, projected : (n, 2) px: the pixel, where the prior puts it, and where the
+    posterior does. covariance : (n, 2, 2) px^2, S of [u, v]. nis : (n,). accepted : (n,) bool.
+    pulls : (n, 2) m, what each measurement adds to the correction of the position, along the predicted body axes
+    [forward, left]; zero where the gate kept it out.
+    """
+
+    ids: np.ndarray
+    measured: np.ndarray
+    predicted: np.ndarray
+    projected: np.ndarray
+    covariance: np.ndarray
+    nis: np.ndarray
+    accepted: np.ndarray
+    pulls: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Snapshot:
+    """One state of an estimate, everything in world coordinates.
+
+    label : where it stands in the history. caption : what led to it, in words, without the label. time : s, or its number.
+    updated : True for a posterior, False for a prediction.
+    ids : (n,). landmarks : (n, 3) m. landmark_covariance : (n, 3, 3) m^2, of the positions in the world.
+    world_T_imu : (4, 4) or None. pose_covariance : (6, 6) as a right perturbation, or None.
+    covariance : (3n+t, 3n+t) in the filter's own coordinates, or None. true_world_T_imu : (4, 4) or None.
+    sight : the measurements, or None. born, retired : ids.
+    path : (P, 4, 4) and path_covariance : (P, 6, 6), or None where the path is that of the snapshots before.
+    """
+
+    label: str
+    time: float
+    updated: bool
+    ids: np.ndarray
+    landmarks: np.ndarray
+    landmark_covariance: np.ndarray
+    world_T_imu: np.ndarray | None = None
+    pose_covariance: np.ndarray | None = None
+    covariance: np.ndarray | None = None
+    true_world_T_imu: np.ndarray | None = None
+    sight: Sight | None = None
+    born: np.ndarray = field(default_factory=lambda: NOBODY)
+    retired: np.ndarray = field(default_factory=lambda: NOBODY)
+    path: np.ndarray | None = None
+    path_covariance: np.ndarray | None = None
+    caption: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Series:
+    """A number through the snapshots (n,), and the band in which it should lie: low and high (n,). NaN: no value.
+
+    log : whether it is drawn on a logarithmic scale.
+    """
+
+    name: str
+    unit: str
+    values: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+    log: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class History:
+    """One run: its snapshots, and what is shown of it through time.
+
+    name : of the run. colour : its key in `style.COLOURS`. unit : what one snapshot is ("half-step", "iteration").
+    axis : what `Snapshot.time` counts. rows : names of the rows of the covariance, those of one landmark first.
+    """
+
+    name: str
+    colour: str
+    unit: str
+    axis: str
+    rows: tuple[list[str], list[str]]
+    snapshots: tuple[Snapshot, ...]
+    series: tuple[Series, ...]
+
+    def __getitem__(self, name: str) -> Series:
+        """The series of this name. Raises KeyError with the names that there are."""
+        for one in self.series:
+            if one.name == name:
+                return one
+        raise KeyError(f"{name!r} is not among {[one.name for one in self.series]}")
+
+
+def from_steps(name: str, steps: Iterable[kalman.Step], drive: Drive, error_state: ErrorState | None = None, *,
+               colour: str = "slam", world_T_imu: np.ndarray | None = None) -> History:
+    """The history of a filter: two snapshots a step, its prior and its posterior.
+
+    steps : `kalman.Step`s whose beliefs are a joint `Belief`, a `MapBelief` or a `PoseBelief`.
+    drive : the Drive they were run on; its true landmarks are the known map of a filter that estimates a pose only.
+    error_state : that of a joint filter, by default `RightPerturbation()`. colour : key of `style.COLOURS`.
+    world_T_imu : (T, 4, 4), the poses that were given to a filter which estimates a map only.
+    Raises ValueError for an empty history.
+    """
+    error_state = error_state or RightPerturbation()
+    steps = tuple(steps)
+    if not steps:
+        raise ValueError(f"{name or 'history'}: an explorer needs at least one step")
+    snapshots: list[Snapshot] = []
+    nis, numbers = [np.nan], [0]
+    for step in steps:
+        truth = None if drive.true_world_T_imu is None else drive.true_world_T_imu[step.k]
+        pose = None if world_T_imu is None else world_T_imu[step.k]
+        sight = look(step, drive, error_state, pose)
+        value, count = frame_nis(step, drive, error_state, pose)
+        nis += [value, value]
+        numbers += [count, count]
+        for belief, updated in ((step.prior, False), (step.posterior, True)):
+            now = replace(
+                of_belief(belief, error_state, pose), time=float(step.time), updated=updated, sight=sight,
+                label=f"frame {step.k}, {step.time:.1f} s, {'updated' if updated else 'predicted'}",
+                born=step.born if updated else NOBODY, retired=NOBODY if updated else step.retired,
+                true_world_T_imu=truth,
+            )
+            snapshots.append(replace(now, caption=describe(snapshots[-1] if snapshots else None, now, pose is None)))
+    # Until the update of a frame, the NIS of the frame before stands.
+    per_number = np.where(np.array(numbers[:-1]) > 0, numbers[:-1], np.nan)
+    nis_series = Series("NIS / numbers", "", np.array(nis[:-1]) / per_number, *nis_band(per_number))
+    series = [*pose_series(snapshots), nis_series]
+    if truth is not None and snapshots[0].pose_covariance is not None:
+        series.insert(-1, nees_series(steps, drive, error_state))
+    return History(name, colour, "half-step", "time (s)", row_names(snapshots, error_state), tuple(snapshots), tuple(series))
+
+
+def from_beliefs(labels: Sequence[str], beliefs: Sequence[Any], drive: Drive, *, name: str, unit: str,
+                 error_state: ErrorState | None = None, frames: Sequence[int] | None = None,
+                 captions: Sequence[str] = (), series: Mapping[str, Sequence[float]] | None = None) -> History:
+    """A history of single beliefs, one snapshot each; arguments as in `Explorer.from_beliefs`."""
+    if not len(beliefs) or len(beliefs) != len(labels):
+        raise ValueError(f"{len(labels)} labels for {len(beliefs)} beliefs: give one each, and at least one")
+    error_state = error_state or RightPerturbation()
+    frames = [drive.n_frames - 1] * len(beliefs) if frames is None else frames
+    snapshots: list[Snapshot] = []
+    for i, (label, belief, k) in enumerate(zip(labels, beliefs, frames)):
+        truth = None if drive.true_world_T_imu is None else drive.true_world_T_imu[k]
+        now = replace(of_belief(belief, error_state), label=label, time=float(i), updated=True, true_world_T_imu=truth)
+        before = snapshots[-1] if snapshots else None
+        if before is not None:
+            now = replace(now, born=np.setdiff1d(now.ids, before.ids), retired=np.setdiff1d(before.ids, now.ids))
+        words = captions[i] if captions else describe(before, now, True)
+        snapshots.append(replace(now, caption=words))
+    nothing = np.full(len(beliefs), np.nan)
+    given = [Series(key, "", np.asarray(values, float), nothing, nothing) for key, values in (series or {}).items()]
+    return History(name, "slam", unit, unit, row_names(snapshots, error_state), tuple(snapshots),
+                   (*given, *pose_series(snapshots)))
+
+
+def of_belief(belief, error_state, pose=None) -> Snapshot:
+    """A belief of any of the filters as a snapshot without its place in the history. pose : (4, 4), given, or None."""
+    at: dict[str, Any] = {"label": "", "time": 0.0, "updated": True}
+    if isinstance(belief, PathBelief):
+        last = None if belief.path_covariance is None else belief.path_covariance[-1]
+        return Snapshot(**at, ids=belief.ids, landmarks=belief.landmarks, world_T_imu=belief.path[-1],
+                        landmark_covariance=belief.landmark_covariance, pose_covariance=last,
+                        covariance=belief.covariance, path=belief.path, path_covariance=belief.path_covariance)
+    if hasattr(belief, "seen"):
+        ids = np.flatnonzero(belief.seen)
+        return Snapshot(**at, ids=ids, landmarks=belief.landmarks[ids], landmark_covariance=belief.covariance[ids],
+                        world_T_imu=pose)
+    if not hasattr(belief, "ids"):
+        return Snapshot(**at, ids=NOBODY, landmarks=np.empty((0, 3)), landmark_covariance=np.empty((0, 3, 3)),
+                        world_T_imu=belief.world_T_imu, pose_covariance=belief.covariance,
+                        covariance=belief.covariance)
+    return Snapshot(**at, ids=belief.ids, landmarks=belief.landmarks, world_T_imu=belief.world_T_imu,
+                    landmark_covariance=world_landmark_covariance(belief, error_state),
+                    pose_covariance=right_pose_covariance(belief, error_state), covariance=belief.covariance)
+
+
+def jacobian(belief, innovation, drive, error_state, pose):
+    """H (n, 4, d) of an innovation's measurements by the error of the belief, for any of the filters' beliefs."""
+    camera, ids = drive.camera, innovation.ids
+    n, each = len(ids), np.arange(len(innovation.ids))
+    if hasattr(belief, "seen"):
+        H = np.zeros((n, 4, n, 3))
+        H[each, :, each] = camera.landmark_jacobian(pose, belief.landmarks[ids])
+        return H.reshape(n, 4, 3 * n)
+    if not hasattr(belief, "ids"):
+        return camera.pose_jacobian(belief.world_T_imu, drive.true_landmarks[ids])
+    rows = np.searchsorted(belief.ids, ids)
+    points = camera.to_cam(belief.world_T_imu, belief.landmarks[rows])
+    H_landmark, H_pose = error_state.jacobians(belief.world_T_imu, belief.landmarks[rows],
+                                               camera.measurement_jacobian(points))
+    d = 3 * len(belief.ids)
+    H = np.zeros((n, 4, len(belief.covariance)))
+    H[:, :, :d].reshape(n, 4, -1, 3)[each, :, rows] = H_landmark
+    H[:, :, d:d + 6] = H_pose
+    return H
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """All measurements of one frame together: they share the errors of the prior.
+
+    P : (d, d), prior covariance. H : (n, 4, d). S : (n, 4, n, 4) px^2, H P H^T + V; V (px^2) is what the step's own S
+    of each measurement has beside H P H^T. residual : (n, 4) px.
+    """
+
+    P: np.ndarray
+    H: np.ndarray
+    S: np.ndarray
+    residual: np.ndarray
+
+    @classmethod
+    def of(cls, step, drive, error_state, pose=None) -> "Frame":
+        """The frame of a step. pose : (4, 4), where it was given to the filter."""
+        seen, n = step.innovation, len(step.innovation.ids)
+        H, P, each = jacobian(step.prior, seen, drive, error_state, pose), step.prior.covariance, np.arange(n)
+        if hasattr(step.prior, "seen"):
+            P = np.zeros((n, 3, n, 3))
+            P[each, :, each] = step.prior.covariance[seen.ids]
+            P = P.reshape(3 * n, 3 * n)
+        S = (H.reshape(4 * n, -1) @ P @ H.reshape(4 * n, -1).T).reshape(n, 4, n, 4)
+        S[each, :, each] = seen.covariance
+        return cls(P, H, S, seen.residual)
+
+    def part(self, rows) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """H (m, d), S (m, m) and residual (m,) of some measurements. rows : (n,) bool."""
+        m = 4 * int(rows.sum())
+        return self.H[rows].reshape(m, -1), self.S[rows][:, :, rows].reshape(m, m), self.residual[rows].ravel()
+
+
+def frame_nis(step: kalman.Step, drive: Drive, error_state: ErrorState, pose=None) -> tuple[float, int]:
+    """NIS of a step's whole frame, and how many numbers it sums: four a landmark in front of the camera.
+
+    error_state : of a joint filter. pose : (4, 4), where it was given to the filter. Returns (NaN, 0) for no landmark.
+    """
+    rows = np.isfinite(step.innovation.nis)
+    if not rows.any():
+        return np.nan, 0
+    _, S, residual = Frame.of(step, drive, error_state, pose).part(rows)
+    return float(kalman.nis(residual, S)), len(residual)
+
+
+def pulls(step: kalman.Step, drive: Drive, error_state: ErrorState) -> np.ndarray:
+    """(n, 6): what each measurement adds to the correction of the pose, K_j r_j, as a right perturbation, m and rad.
+
+    Zero where the gate kept it out. To first order their sum is the correction of the frame.
+    """
+    prior, good = step.prior, step.innovation.accepted
+    contribution = np.zeros((len(good), 6))
+    if good.any():
+        frame = Frame.of(step, drive, error_state)
+        H, S, residual = frame.part(good)
+        K = frame.P @ np.linalg.solve(S, H).T
+        of_pose = slice(3 * len(prior.ids), 3 * len(prior.ids) + 6) if hasattr(prior, "ids") else slice(0, 6)
+        # K's columns in blocks of four, one block for each measurement
+        each = np.einsum("anr,nr->na", K[of_pose].reshape(6, -1, 4), residual.reshape(-1, 4))
+        contribution[good] = each @ to_right(error_state, prior.world_T_imu).T
+    return contribution
+
+
+def look(step, drive, error_state, pose) -> Sight | None:
+    """What the cameras saw in this step's frame, None where nothing was predicted."""
+    seen = step.innovation
+    if len(seen.ids) == 0:
+        return None
+    pull = np.zeros((len(seen.ids), 2)) if pose is not None else pulls(step, drive, error_state)[:, :2]
+    projected = drive.camera.observe(*_pose_and_points(step.posterior, seen.ids, drive, pose))[0]
+    return Sight(seen.ids, seen.measured[:, :2], seen.predicted[:, :2], projected[:, :2], seen.covariance[:, :2, :2],
+                 seen.nis, seen.accepted, pull)
+
+
+def to_right(error_state, world_T_imu):
+    """(6, 6): an error of the pose to the right perturbation that moves it as far, to first order."""
+    return RightPerturbation().world_pose(world_T_imu).T @ error_state.world_pose(world_T_imu)
+
+
+def _pose_and_points(belief, ids, drive, pose):
+    """world_T_imu (4, 4) and the landmarks `ids` (n, 3), as this belief has or was given them."""
+    if hasattr(belief, "seen"):
+        return pose, belief.landmarks[ids]
+    if not hasattr(belief, "ids"):
+        return belief.world_T_imu, drive.true_landmarks[ids]
+    return belief.world_T_imu, belief.landmarks[np.searchsorted(belief.ids, ids)]
+
+
+def pose_series(snapshots) -> list[Series]:
+    """Errors of the pose as a right perturbation with their ± 3 sigma; errors are NaN without truth."""
+    if any(s.pose_covariance is None for s in snapshots):
+        return []
+    sigma = np.sqrt([np.diag(s.pose_covariance) for s in snapshots])
+    error = np.array([np.full(6, np.nan) if s.true_world_T_imu is None else
+                      se3.log(se3.inverse(s.world_T_imu) @ s.true_world_T_imu) for s in snapshots])
+    return [Series(f"{name} error", unit, scale * error[:, axis], -3 * scale * sigma[:, axis], 3 * scale * sigma[:, axis])
+            for name, axis, scale, unit in POSE_ERRORS]
+
+
+def nees_series(steps, drive, error_state) -> Series:
+    """NEES of the pose in the filter's own error, with the 95 % band of six degrees of freedom."""
+    beliefs = [belief for step in steps for belief in (step.prior, step.posterior)]
+    truth = np.repeat(drive.true_world_T_imu[[step.k for step in steps]], 2, axis=0)
+    claimed = [b.pose_covariance if hasattr(b, "ids") else b.covariance for b in beliefs]
+    nees = metrics.pose_nees(error_state, truth, np.array([b.world_T_imu for b in beliefs]), np.array(claimed)).pose
+    low, high = metrics.chi2_band(6, probability=0.95)
+    return Series("NEES of the pose", "", nees, np.full(len(nees), low), np.full(len(nees), high), log=True)
+
+
+def row_names(snapshots, error_state) -> tuple[list[str], list[str]]:
+    """Names of the three rows of a landmark, and of the rows behind the landmarks; [] without a covariance."""
+    sizes = [len(s.covariance) - 3 * len(s.ids) for s in snapshots if s.covariance is not None]
+    if not sizes:
+        return ["x", "y", "z"], []
+    if isinstance(error_state, RightInvariant):
+        pose = ["x_p x", "x_p y", "x_p z", "x_R x", "x_R y", "x_R z"]
+        return ["x_m x", "x_m y", "x_m z"], pose + MOTION_ROWS[:sizes[0] - 6]
+    return ["x", "y", "z"], ["forward", "left", "up", "roll", "pitch", "yaw", *MOTION_ROWS[:sizes[0] - 6]]
+
+
+def describe(before: Snapshot | None, now: Snapshot, estimates_pose: bool) -> str:
+    """What led from one snapshot to the next, in words and numbers."""
+    words = [_pose_words(before, now)] if now.pose_covariance is not None else []
+    if now.updated and now.sight is not None:
+        out = now.sight.ids[~now.sight.accepted]
+        words.insert(0, f"{int(now.sight.accepted.sum())} of {len(now.sight.ids)} measurements correct "
+                        f"{'the pose' if not len(now.ids) else 'the map and the pose' if estimates_pose else 'the map'}")
+        words += [f"the gate keeps out {listed(out)}"] if len(out) else []
+    if before is not None and len(now.ids):
+        words.append(_map_words(before, now))
+    words += [f"new: {listed(now.born)}"] if len(now.born) else []
+    words += [f"left the state: {listed(now.retired)}"] if len(now.retired) else []
+    return "; ".join(filter(None, words)) or "nothing is known yet"
+
+
+def _pose_words(before, now) -> str:
+    sigmas = [np.sqrt(np.diag(s.pose_covariance)[[0, 1, 5]]) for s in (before, now) if s is not None]
+    shown = []
+    for axis, (name, _, _, unit) in enumerate(POSE_ERRORS):
+        scale, unit = (180 / np.pi, "°") if unit == "°" else (100, " cm")
+        shown.append(f"{name} " + " → ".join(f"{scale * s[axis]:.2g}" for s in sigmas) + unit)
+    if before is not None and np.allclose(*sigmas, rtol=1e-9):
+        return "the pose stays as it was"
+    moved = "" if before is None else " shrinks," if sigmas[1].prod() < sigmas[0].prod() else " grows,"
+    return f"pose σ{moved} " + ", ".join(shown)
+
+
+def _map_words(before, now) -> str:
+    """Which landmark gained most, by the largest ratio of its longest axis."""
+    common, old, new = np.intersect1d(before.ids, now.ids, return_indices=True)
+    if len(common) == 0:
+        return ""
+    longest = [principal_sigmas(s.landmark_covariance[rows])[:, 0] for s, rows in ((before, old), (now, new))]
+    shrink = longest[1] / longest[0]
+    best = int(np.argmin(shrink))
+    if abs(shrink[best] - 1) < 1e-3:
+        return "no landmark ellipse changes" if abs(shrink.max() - 1) < 1e-3 else "landmark ellipses grow"
+    return f"landmark {common[best]} gains most, σ {longest[0][best]:.2g} → {longest[1][best]:.2g} m"
+
+
+def principal_sigmas(covariance: np.ndarray) -> np.ndarray:
+    """(..., 3) standard deviations along the principal axes, largest first. covariance : (..., 3, 3)."""
+    return np.sqrt(np.maximum(np.linalg.eigvalsh(covariance), 0.0))[..., ::-1]
+
+
+def listed(ids) -> str:
+    """Numbers with commas."""
+    return ", ".join(map(str, ids))

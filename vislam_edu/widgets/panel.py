@@ -1,0 +1,110 @@
+"""A `Panel`: a picture with a slider or a switch for each of its controls.
+
+The picture is a PNG in an `Image`, the controls are native inputs (`control.js`); the widget runs without a browser,
+so that a test or a cell may say `panel.controls["depth"].value = 7` and look at the picture. Where there is no kernel
+(a page on the web, a notebook that has not been run) the last picture stands in its place.
+"""
+
+import html
+from pathlib import Path
+
+import anywidget
+import ipywidgets
+import traitlets
+
+from .canvas import DPI, Decades, Number, Switch
+
+UNSEEN = "position: absolute; width: 1px; height: 1px; overflow: hidden; clip-path: inset(50%)"  # and read aloud
+
+
+class Control(anywidget.AnyWidget):
+    """The input for a `Number` or a `Switch`, with its label; `value` may be set from code.
+
+    A number keeps to its range; without `Decades` a whole number when its step is one.
+    Raises TypeError for anything else, and traitlets.TraitError for a value outside the range.
+    """
+
+    _esm = Path(__file__).with_name("control.js")
+    spec = traitlets.Dict().tag(sync=True)
+    value = traitlets.Union([traitlets.Bool(), traitlets.Float()]).tag(sync=True)
+
+    def __init__(self, control: Number | Switch):
+        if not isinstance(control, Number | Switch):
+            raise TypeError(f"a control is a Number or a Switch, got {control!r}")
+        self.control = control
+        spec = {"label": control.label, "kind": "switch"}
+        if isinstance(control, Number):
+            kind = "log" if isinstance(control, Decades) else "number"
+            spec |= {"kind": kind, "low": control.low, "high": control.high, "step": control.step}
+        super().__init__(spec=spec, value=control.value)
+
+    @traitlets.validate("value")
+    def _in_range(self, proposal):
+        value, control = proposal.value, self.control
+        if isinstance(control, Switch):
+            return bool(value)
+        if not control.low * (1 - 1e-9) <= value <= control.high * (1 + 1e-9):
+            raise traitlets.TraitError(f"{control.label}: {value} is outside [{control.low}, {control.high}]")
+        whole = isinstance(control.step, int) and not isinstance(control, Decades)
+        return round(value) if whole else float(value)
+
+    def __repr__(self):
+        """Fixed, see `Panel`."""
+        return f"Control({self.control.label})"
+
+
+class Panel(ipywidgets.VBox):
+    """A picture with a control for each of its `controls`.
+
+    picture : `pictures.canvas.Picture`.
+    controls : dict name -> its `Control`, whose `value` may be set from code.
+    image, text : the widgets that hold the picture, and its caption with the picture in words for screen readers.
+    """
+
+    def __init__(self, picture, **layout):
+        self.picture = picture
+        self.controls = {name: Control(control) for name, control in picture.controls.items()}
+        width = f"{int(DPI * picture.size[0])}px"
+        self.image = ipywidgets.Image(format="png", layout=ipywidgets.Layout(width=width, max_width="100%"))
+        self.text = ipywidgets.HTML(layout=ipywidgets.Layout(width=width, max_width="100%"))
+        for control in self.controls.values():
+            control.observe(self._show, names="value")
+        super().__init__(
+            [*self._bars(), self.image, self.text],
+            layout=ipywidgets.Layout(align_items="flex-start"),
+            **layout,
+        )
+        self._show()
+
+    @property
+    def state(self) -> dict:
+        """The keyword arguments that the controls stand for now."""
+        return {name: control.value for name, control in self.controls.items()}
+
+    def _bars(self):
+        """The rows of controls above the picture."""
+        return [_row(list(self.controls.values()))] if self.controls else []
+
+    def _show(self, change=None):
+        self.image.value = self.picture.png(**self.state)
+        caption = self.picture.caption(**self.state)
+        # "status": a screen reader reads the caption out whenever it changes. An Image widget has no alternative text.
+        self.text.value = (
+            f'<div role="status">{html.escape(caption)}</div>'
+            f'<div style="{UNSEEN}">{html.escape(self.picture.alt(**self.state))}</div>'
+        )
+
+    def __repr__(self):
+        """Fixed, so that a notebook's stored text never depends on the picture or on an address."""
+        return f"{type(self).__name__}({self.picture.name})"
+
+    def _repr_mimebundle_(self, **kwargs):
+        """The live widget, and the still picture for where there is no kernel."""
+        bundle = super()._repr_mimebundle_(**kwargs)
+        data, metadata = self.picture.still(**self.state)._repr_mimebundle_()
+        return {**bundle, "image/png": data["image/png"]}, metadata
+
+
+def _row(widgets):
+    """Widgets side by side, in as many lines as the page needs."""
+    return ipywidgets.Box(widgets, layout=ipywidgets.Layout(flex_flow="row wrap", max_width="100%"))
