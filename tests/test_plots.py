@@ -361,7 +361,7 @@ def test_map_shows_its_landmarks(result, name):
 
 
 def test_trajectory_figures_show_the_paths_and_their_ellipses(result):
-    axes, = report_figures.both_trajectories(result).axes
+    axes, = report_figures.FIGURES["fig6_initial_and_slam_trajectory"](result).axes
     dead_reckoned = result.dead_reckoning.world_T_imu[:, :2, 3]
     np.testing.assert_array_equal(labelled(axes, "dead reckoning"), dead_reckoned)
     np.testing.assert_array_equal(labelled(axes, "SLAM"), result.slam.trajectory.world_T_imu[:, :2, 3])
@@ -374,8 +374,8 @@ def test_trajectory_figures_show_the_paths_and_their_ellipses(result):
 
 @pytest.mark.parametrize("which", ["initial", "slam"])
 def test_ellipses_of_landmarks_belong_to_landmarks_in_the_view_and_are_short(result, which):
-    draw, belief = {"initial": (report_figures.initial_landmarks, result.initial),
-                    "slam": (report_figures.slam_landmarks, result.slam.map)}[which]
+    draw, belief = {"initial": (report_figures.FIGURES["fig2_initial_landmarks"], result.initial),
+                    "slam": (report_figures.FIGURES["fig5_slam_landmarks"], result.slam.map)}[which]
     axes, = draw(result).axes
     collection, = outlines(axes)
     width = np.ptp(axes.get_xlim())
@@ -391,14 +391,14 @@ def test_ellipses_of_landmarks_belong_to_landmarks_in_the_view_and_are_short(res
 def test_landmark_far_away_is_counted_and_does_not_move_the_view(result):
     from dataclasses import replace
 
-    before = report_figures.initial_landmarks(result).axes[0]
+    before = report_figures.FIGURES["fig2_initial_landmarks"](result).axes[0]
     landmarks = result.initial.landmarks.copy()
     view = (*before.get_xlim(), *before.get_ylim())
     already = np.count_nonzero(~plots.inside(view, landmarks[result.initial.seen]))
     near = np.flatnonzero(plots.inside(view, landmarks) & result.initial.seen)[:2]
     landmarks[near] = 1e5
     far = replace(result, initial=replace(result.initial, landmarks=landmarks))
-    axes, = report_figures.initial_landmarks(far).axes
+    axes, = report_figures.FIGURES["fig2_initial_landmarks"](far).axes
     assert (*axes.get_xlim(), *axes.get_ylim()) == view
     assert any(label.endswith(f"({already + 2} outside)") for label in lines(axes))
 
@@ -414,7 +414,7 @@ def test_without_truth_nothing_black_is_drawn_and_no_error_is_claimed(result):
 
 
 def test_titles_tell_the_errors(result):
-    title = report_figures.both_trajectories(result).axes[0].get_title(loc="left").replace("\n", " ")
+    title = report_figures.FIGURES["fig6_initial_and_slam_trajectory"](result).axes[0].get_title(loc="left").replace("\n", " ")
     truth = result.drive.true_world_T_imu[-1, :3, 3]
     slam_error = np.linalg.norm(result.slam.trajectory.world_T_imu[-1, :3, 3] - truth)
     error = np.linalg.norm(result.dead_reckoning.world_T_imu[-1, :3, 3] - truth)

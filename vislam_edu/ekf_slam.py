@@ -49,8 +49,9 @@ def joint_jacobian(H_landmark: np.ndarray, H_pose: np.ndarray, rows: np.ndarray,
     return H.reshape(4 * len(rows), 3 * n + 6)
 
 
-def joint_update(world_T_imu: np.ndarray, landmarks: np.ndarray, covariance: np.ndarray, H: np.ndarray,
-                 residual: np.ndarray, V: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def joint_update(world_T_imu: np.ndarray, landmarks: np.ndarray, covariance: np.ndarray,
+                 H: np.ndarray, residual: np.ndarray,
+                 V: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Steps 3 to 5, H (k, 3n+6), residual (k,), V (k, k): landmarks (n, 3) by +, pose by exp."""
     delta, P = kalman.update(covariance, H, V, residual)
     n = landmarks.size

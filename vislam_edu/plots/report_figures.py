@@ -1,7 +1,8 @@
-"""The report's figures 1 to 7, drawn from a `pipeline.Result`.
+"""The report's figures 1 to 7; `FIGURES` draws all of them from a `pipeline.Result`.
 
 Figures 8 to 14 are the same seven for another recording, figures 15 to 20 are 5 to 7 for other noise: run the
-pipeline again and draw its result. Each function returns a Figure whose title says what was found.
+pipeline again and draw its result. Each function takes what it draws (a Drive, Trajectories, `MapBelief`s, a
+`pipeline.Mapped`, a `pipeline.Slam`) and returns a Figure whose title says what was found.
 """
 
 import numpy as np
@@ -13,107 +14,108 @@ ELLIPSES = 60  # at most as many landmarks get an ellipse: all of them would hid
 
 
 @style.styled
-def initial_trajectory(result):
+def initial_trajectory(drive, dead_reckoning):
     """Figure 1: the IMU alone."""
-    estimate = result.dead_reckoning
-    driven = np.linalg.norm(np.diff(estimate.world_T_imu[:, :3, 3], axis=0), axis=-1).sum()
-    title = f"Dead reckoning over {driven:.0f} m in {result.drive.duration:.0f} s"
-    error = _final_error(result, estimate)
+    driven = np.linalg.norm(np.diff(dead_reckoning.world_T_imu[:, :3, 3], axis=0), axis=-1).sum()
+    title = f"Dead reckoning over {driven:.0f} m in {drive.duration:.0f} s"
+    error = _final_error(drive, dead_reckoning)
     title += "" if error is None else f" ends {error:.1f} m from the truth and"
-    title += f" claims an error below {_final_claim(estimate):.1f} m (95 %)"
-    return drawing.trajectories(result.drive, {"dead_reckoning": estimate}, title)
+    title += f" claims an error below {_final_claim(dead_reckoning):.1f} m (95 %)"
+    return drawing.trajectories(drive, {"dead_reckoning": dead_reckoning}, title)
 
 
 @style.styled
-def initial_landmarks(result):
+def initial_landmarks(drive, dead_reckoning, initial):
     """Figure 2: each landmark where its first good stereo view puts it, seen from the dead-reckoned pose."""
-    found = np.count_nonzero(result.initial.seen)
-    title = f"{found} of {result.drive.n_landmarks} landmarks triangulated at first sight from dead reckoning"
-    return _one_map(result, result.initial, "dead_reckoning", "dead_reckoning", title)
+    found = np.count_nonzero(initial.seen)
+    title = f"{found} of {drive.n_landmarks} landmarks triangulated at first sight from dead reckoning"
+    return _one_map(drive, initial, "dead_reckoning", dead_reckoning, "dead_reckoning", title)
 
 
 @style.styled
-def mapped_landmarks(result):
-    """Figure 3: the landmark EKF on dead-reckoned poses, which it takes for the truth."""
-    mapped = result.mapped
+def mapped_landmarks(drive, dead_reckoning, mapped):
+    """Figure 3: the landmark EKF on dead-reckoned poses, which it assumes to be true."""
     share = 100 * mapped.contradicting / max(1, mapped.measurements)
     title = (f"Mapping EKF on dead-reckoned poses: {share:.0f} % of {mapped.measurements} measurements "
              "contradict them (a 99 % gate would keep these out)")
-    return _one_map(result, mapped.map, "mapping", "dead_reckoning", title)
+    return _one_map(drive, mapped.map, "mapping", dead_reckoning, "dead_reckoning", title)
 
 
 @style.styled
-def initial_and_mapped_landmarks(result):
+def initial_and_mapped_landmarks(drive, dead_reckoning, initial, mapped):
     """Figure 4: what the landmark EKF changed."""
-    title = (f"The mapping EKF moves a landmark by {_median_move(result.initial, result.mapped.map):.1f} m "
+    title = (f"The mapping EKF moves a landmark by {_median_move(initial, mapped.map):.1f} m "
              "(median); the path stays as it was")
-    maps = {"dead_reckoning": result.initial, "mapping": result.mapped.map}
-    return _several_maps(result, maps, {"dead_reckoning": result.dead_reckoning}, title)
+    maps = {"dead_reckoning": initial, "mapping": mapped.map}
+    return _several_maps(drive, maps, {"dead_reckoning": dead_reckoning}, title)
 
 
 @style.styled
-def slam_landmarks(result):
+def slam_landmarks(drive, slam):
     """Figure 5: landmarks and path of the joint filter."""
-    title = (f"SLAM places {np.count_nonzero(result.slam.map.seen)} landmarks; its gate keeps "
-             f"{100 * result.slam.rejected_share:.1f} % of {result.slam.measurements} measurements out")
-    return _one_map(result, result.slam.map, result.slam.method, result.slam.method, title)
+    title = (f"SLAM places {np.count_nonzero(slam.map.seen)} landmarks; its gate keeps "
+             f"{100 * slam.rejected_share:.1f} % of {slam.measurements} measurements out")
+    return _one_map(drive, slam.map, slam.method, slam.trajectory, slam.method, title)
 
 
 @style.styled
-def both_trajectories(result):
-    """Figure 6: the path before and after the cameras are heard."""
-    estimates = {"dead_reckoning": result.dead_reckoning, result.slam.method: result.slam.trajectory}
-    before, after = _final_error(result, result.dead_reckoning), _final_error(result, result.slam.trajectory)
+def both_trajectories(drive, dead_reckoning, slam):
+    """Figure 6: the path without and with the cameras."""
+    estimates = {"dead_reckoning": dead_reckoning, slam.method: slam.trajectory}
+    before, after = _final_error(drive, dead_reckoning), _final_error(drive, slam.trajectory)
     if before is None:
         apart = np.subtract(*[t.world_T_imu[-1, :3, 3] for t in estimates.values()])
         title = f"SLAM ends {np.linalg.norm(apart):.1f} m from where dead reckoning does"
     else:
         title = f"SLAM ends {after:.1f} m from the truth, dead reckoning {before:.1f} m"
-    title += f"; SLAM claims an error below {_final_claim(result.slam.trajectory):.1f} m (95 %)"
-    return drawing.trajectories(result.drive, estimates, title)
+    title += f"; SLAM claims an error below {_final_claim(slam.trajectory):.1f} m (95 %)"
+    return drawing.trajectories(drive, estimates, title)
 
 
 @style.styled
-def all_landmarks(result):
+def all_landmarks(drive, dead_reckoning, initial, mapped, slam):
     """Figure 7: the three maps together."""
-    moved = _median_move(result.mapped.map, result.slam.map)
+    moved = _median_move(mapped.map, slam.map)
     title = f"SLAM puts a landmark {moved:.1f} m (median) from where the mapping EKF had it"
-    method = result.slam.method
-    maps = {"dead_reckoning": result.initial, "mapping": result.mapped.map, method: result.slam.map}
-    paths = {"dead_reckoning": result.dead_reckoning, method: result.slam.trajectory}
-    return _several_maps(result, maps, paths, title)
+    method = slam.method
+    maps = {"dead_reckoning": initial, "mapping": mapped.map, method: slam.map}
+    paths = {"dead_reckoning": dead_reckoning, method: slam.trajectory}
+    return _several_maps(drive, maps, paths, title)
 
 
-FIGURES = {
-    "fig1_initial_trajectory": initial_trajectory,
-    "fig2_initial_landmarks": initial_landmarks,
-    "fig3_mapped_landmarks": mapped_landmarks,
-    "fig4_initial_and_mapped_landmarks": initial_and_mapped_landmarks,
-    "fig5_slam_landmarks": slam_landmarks,
-    "fig6_initial_and_slam_trajectory": both_trajectories,
-    "fig7_all_landmarks": all_landmarks,
+FIGURES = {  # name of the file: the figure of a `pipeline.Result`
+    "fig1_initial_trajectory": lambda r: initial_trajectory(r.drive, r.dead_reckoning),
+    "fig2_initial_landmarks": lambda r: initial_landmarks(r.drive, r.dead_reckoning, r.initial),
+    "fig3_mapped_landmarks": lambda r: mapped_landmarks(r.drive, r.dead_reckoning, r.mapped),
+    "fig4_initial_and_mapped_landmarks":
+        lambda r: initial_and_mapped_landmarks(r.drive, r.dead_reckoning, r.initial, r.mapped),
+    "fig5_slam_landmarks": lambda r: slam_landmarks(r.drive, r.slam),
+    "fig6_initial_and_slam_trajectory": lambda r: both_trajectories(r.drive, r.dead_reckoning, r.slam),
+    "fig7_all_landmarks": lambda r: all_landmarks(r.drive, r.dead_reckoning, r.initial, r.mapped, r.slam),
 }
 
 
-def _one_map(result, belief, method, path, title):
-    """A map with its path and ellipses, the truth beside it; its title ends with how wrong the map is."""
-    trajectory = result.dead_reckoning if path == "dead_reckoning" else result.slam.trajectory
-    view = _view(result, trajectory)
+def _one_map(drive, belief, method, trajectory, path, title):
+    """A map with its path and ellipses, the truth beside it; its title ends with how wrong the map is.
+
+    method, path : keys of `style.COLOURS` for the map and for the path.
+    """
+    view = _view(drive, trajectory)
     figure, axes = drawing.new_map(view)
     _draw_landmarks(axes, view, belief, method)
     _draw_some_ellipses(axes, view, belief, method)
-    drawing.draw_truth(axes, result.drive)
+    drawing.draw_truth(axes, drive)
     drawing.draw_trajectory(axes, trajectory.world_T_imu, path, label=f"path, {style.LABELS[path]}")
-    return drawing.finish(figure, title + _landmark_error(result, belief))
+    return drawing.finish(figure, title + _landmark_error(drive, belief))
 
 
-def _several_maps(result, maps, paths, title):
+def _several_maps(drive, maps, paths, title):
     """Maps over each other, later ones in smaller dots so that the earlier ones show, and the paths."""
-    view = _view(result, *paths.values())
+    view = _view(drive, *paths.values())
     figure, axes = drawing.new_map(view)
     for size, (method, belief) in zip((5, 3, 2.5), maps.items()):
         _draw_landmarks(axes, view, belief, method, markersize=size)
-    drawing.draw_truth(axes, result.drive)
+    drawing.draw_truth(axes, drive)
     for method, trajectory in paths.items():
         drawing.draw_trajectory(axes, trajectory.world_T_imu, method, label=f"path, {style.LABELS[method]}")
     return drawing.finish(figure, title)
@@ -143,17 +145,17 @@ def _draw_some_ellipses(axes, view, belief, method):
     drawing.draw_ellipses(axes, belief.landmarks[shown], belief.covariance[shown], style.COLOURS[method], label)
 
 
-def _view(result, *trajectories):
+def _view(drive, *trajectories):
     """The map around these paths and the true one."""
     poses = [t.world_T_imu for t in trajectories]
-    if result.drive.true_world_T_imu is not None:
-        poses.append(result.drive.true_world_T_imu)
+    if drive.true_world_T_imu is not None:
+        poses.append(drive.true_world_T_imu)
     return drawing.view_around(*[T[:, :3, 3] for T in poses], margin=MARGIN)
 
 
-def _final_error(result, trajectory):
+def _final_error(drive, trajectory):
     """Distance, m, from the truth at the last frame that has one; None without truth."""
-    truth = result.drive.true_world_T_imu
+    truth = drive.true_world_T_imu
     if truth is None:
         return None
     error = np.linalg.norm(trajectory.world_T_imu[:, :3, 3] - truth[:, :3, 3], axis=-1)
@@ -167,9 +169,9 @@ def _final_claim(trajectory):
     return np.linalg.norm(outline, axis=-1).max()
 
 
-def _landmark_error(result, belief):
+def _landmark_error(drive, belief):
     """End of a title: how far the landmarks are from the truth; nothing where it is not known."""
-    truth = result.drive.true_landmarks
+    truth = drive.true_landmarks
     if truth is None:
         return ""
     error = np.linalg.norm(truth - belief.landmarks, axis=-1)[belief.seen]

@@ -5,6 +5,7 @@ readers, or else in line style. What is drawn as an Image in a notebook is also 
 """
 
 import base64
+import inspect
 import io
 import sys
 import textwrap
@@ -223,3 +224,10 @@ def ellipse_points(mean, covariance, probability=0.95, n=60):
     circle = np.stack([np.cos(angle), np.sin(angle)])
     outline = (axes * radii[..., None, :]) @ circle
     return np.asarray(mean, dtype=float)[..., None, :] + np.swapaxes(outline, -1, -2)
+
+
+def show_source(*functions) -> None:
+    """Print the code of functions of the package, without their docstrings."""
+    for function in functions:
+        lines = inspect.getsource(function).rstrip()
+        print(lines.replace(f'    """{function.__doc__}"""\n', ""), end="\n\n")

@@ -57,6 +57,19 @@ class Slam:
         """Of the measurements, those that the gate kept out; 0 where there were none."""
         return self.rejected / self.measurements if self.measurements else 0.0
 
+    def warnings(self, gate: float) -> list[str]:
+        """What the filter's own gate says against its result, in words; empty when nothing does.
+
+        gate : probability that a good measurement passes. Ten times as many rejections as that mean that the
+        measurements and the filter's claims do not fit together, whichever is wrong.
+        """
+        expected = 1 - gate
+        if self.rejected_share <= 10 * expected or not expected:
+            return []
+        return [f"the gate kept out {100 * self.rejected_share:.0f} % of the measurements where {100 * expected:.2g} % "
+                "is normal: tracks, calibration or noise are not what the filter assumes, so do not trust its "
+                "covariance (python -m vislam_edu audit shows which)"]
+
 
 @dataclass(frozen=True, eq=False)
 class Result:
@@ -77,17 +90,8 @@ class Result:
 
     @property
     def warnings(self) -> list[str]:
-        """What the filter's own gate says against its result, in words; empty when nothing does.
-
-        A gate of 99 % turns away one good measurement in a hundred. Ten times as many mean that the measurements and
-        the filter's claims do not fit together, whoever is wrong.
-        """
-        share, expected = self.slam.rejected_share, 1 - self.gate
-        if share <= 10 * expected or not expected:
-            return []
-        return [f"the gate kept out {100 * share:.0f} % of the measurements where {100 * expected:.2g} % is normal: "
-                "tracks, calibration or noise are not what the filter was told, so do not trust its covariance "
-                "(python -m vislam_edu audit shows which)"]
+        """What speaks against the joint filter's result, see `Slam.warnings`."""
+        return self.slam.warnings(self.gate)
 
 
 @dataclass(frozen=True, eq=False)
