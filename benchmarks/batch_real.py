@@ -1,4 +1,4 @@
-"""The batch estimate on real recordings with ground truth: what the prior on the twist, the bias and the loss are worth.
+"""The batch estimate on real recordings with ground truth: what prior on the twist, bias and loss are worth.
 
     python benchmarks/batch_real.py [RECORDING GROUND_TRUTH ...] [--out FILE]
 
