@@ -129,7 +129,8 @@ def fuse_pair(landmarks, covariance, new, old):
     landmarks : (n, 3), m, world. covariance : (3n, 3n), m^2. new, old : rows of the two. Returns landmarks (n-1, 3) and
     covariance (3n-3, 3n-3), the others in their old order.
     """
-    return _without(*_fused(landmarks, covariance, new, old), old)
+    moved, P = _fused(landmarks, covariance, new, old)
+    return _without(moved, P, old)
 
 
 @fuse_pair.mistake("average of the two", """The mean of the two positions ignores which of them is known better, and
