@@ -181,7 +181,7 @@ def close_once(seed):
             break
     if not closing.first:
         return None
-    k, before, after, pairs = closing.first
+    k, before, after, _ = closing.first
     truth = drive.true_world_T_imu[k]
 
     def nees(belief):
@@ -217,7 +217,7 @@ def test_the_pose_is_honest_before_and_after(closings):
 def test_closing_takes_the_drift_away_and_every_landmark_gains(closings):
     before, after = np.mean([c["error"] for c in closings], axis=0)
     assert after < 0.25 * before
-    # The invariant error itself never grows (`test_fusing_...`); what it is in metres depends on where the map now lies.
+    # The invariant error never grows (`test_fusing_...`); what it is in metres depends on where the map now lies.
     assert max(c["grown"] for c in closings) < 1.02
 
 

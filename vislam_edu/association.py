@@ -6,10 +6,12 @@
 A tracker that comes back to a place gives it a new number, so the map holds the place twice. How far apart the two may
 be follows from the joint covariance: m_i - m_j has the mean 0 and the covariance S_ij = P_ii + P_jj - P_ij - P_ji. Each
 of several pairs can pass its own gate and all of them together still be impossible, because the error of the pose moves
-all new landmarks alike; so pairs are judged together. Pairs that are accepted become a measurement without noise, m_new - m_old = 0, of the
+all new landmarks alike; so pairs are judged together. Pairs that are accepted become a measurement without noise,
+m_new - m_old = 0, of the
 whole joint state. The old row then leaves the map; the landmark keeps the new number, which the tracker goes on using.
 
-Sources: Neira, Tardós, Data association in stochastic mapping using the joint compatibility test, 2001; Bell, Cathey, The
+Sources: Neira, Tardós, Data association in stochastic mapping using the joint compatibility test, 2001; Bell,
+Cathey, The
 iterated Kalman filter update as a Gauss-Newton method, 1993.
 """
 
@@ -224,7 +226,8 @@ class LoopClosing:
     """Looks in each frame for places that the map has twice, and fuses them: for `window_slam.run`'s `associate`.
 
     New are the landmarks in view that have been seen in `settled` frames and are not fused yet; old those that were
-    last seen `forgotten` frames ago. Nothing of the future is used. `least` pairs must fit together: fewer fit by chance.
+    last seen `forgotten` frames ago. Nothing of the future is used. `least` pairs must fit together: fewer fit by
+    chance.
 
     choose : `joint_compatibility`, or another function of `Candidates` and gate.
     fused : list of (frame, new id, old id), what has been done.

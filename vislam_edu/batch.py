@@ -140,7 +140,7 @@ class Problem:
         return min(orders, key=lambda rank: np.abs(rank[common.row] - rank[common.col]).max())
 
 
-REAL_TOLERANCE = 1e-3  # robust weights settle slowly, and the path has long stopped moving
+REAL_TOLERANCE = 100.0  # robust weights settle slowly, and the path has long stopped moving
 
 
 def of_real_drive(drive: Drive, noise: Noise, scale_sigma: float = 0.0) -> Problem:
@@ -376,11 +376,13 @@ class Iteration:
 
 
 def iterate(problem: Problem, estimate: Estimate | None = None, damping: float = 1e-4,
-            tolerance: float = 1e-4, most: int = 50) -> Iterator[Iteration]:
+            tolerance: float = 1e-2, most: int = 50) -> Iterator[Iteration]:
     """Levenberg-Marquardt: yields the start, then every step that lowered the cost.
 
     A step that raises the cost, or a matrix that is not positive definite, makes lambda ten times larger and is tried
-    again; a good step makes it ten times smaller. Ends when a step lowers the cost by less than `tolerance` of it.
+    again; a good step makes it ten times smaller. Ends when a step lowers the cost by less than `tolerance`: the
+    cost is
+    a chi-square, so 1 is what an error of one standard deviation costs, whatever the number of measurements.
     Source: Marquardt, An algorithm for least-squares estimation of nonlinear parameters, 1963.
     """
     estimate = start(problem) if estimate is None else estimate
@@ -405,7 +407,7 @@ def iterate(problem: Problem, estimate: Estimate | None = None, damping: float =
         estimate = moved
         yield Iteration(estimate, at.cost, damping, tried)
         damping = max(damping / 10, DAMPING[0])
-        if before - at.cost < tolerance * before:
+        if before - at.cost < tolerance:
             return
 
 
@@ -449,7 +451,7 @@ class Solution:
         return columns[rows.ravel()].reshape(n, d, n, d)[np.arange(n), :, np.arange(n)]
 
 
-def solve(problem: Problem, estimate: Estimate | None = None, tolerance: float = 1e-4) -> Solution:
+def solve(problem: Problem, estimate: Estimate | None = None, tolerance: float = 1e-2) -> Solution:
     """The estimate of the least cost. estimate, tolerance : see `iterate`."""
     for n, last in enumerate(iterate(problem, estimate, tolerance=tolerance)):  # noqa: B007
         pass

@@ -15,7 +15,8 @@ def two_poses(rng):
 
 
 @exercise(chapter=11, cases=two_poses, shows=[batch.path_twists], outputs=["by_this", "by_next"], hints=[
-    "Perturb T_{k+1}: the logarithm sees exp(tau xi) exp(epsilon), so the right Jacobian. T_k: exp(-epsilon) exp(tau xi).",
+    "Perturb T_{k+1}: the logarithm sees exp(tau xi) exp(epsilon), so the right Jacobian. T_k: exp(-epsilon) "
+    "exp(tau xi).",
     "by_next = J_r^-1(tau xi) / tau, by_this = -J_l^-1(tau xi) / tau, with tau xi = se3.log(T_k^-1 T_{k+1})."])
 def twist_jacobians(T_this, T_next, tau):
     """Derivatives of the residual of the IMU, xi - u with xi = log(T_this^-1 T_next) / tau.
@@ -33,7 +34,8 @@ def _(T_this, T_next, tau):
     return -se3.left_jacobian_inverse(step), se3.right_jacobian_inverse(step)
 
 
-@twist_jacobians.mistake("left and right swapped", """The perturbation of T_next stands on the right of exp(tau xi), that of
+@twist_jacobians.mistake("left and right swapped", """The perturbation of T_next stands on the right of exp(tau xi),
+that of
 T_this on its left: J_r^-1 belongs to T_next, J_l^-1 to T_this.""")
 def _(T_this, T_next, tau):
     step = se3.log(se3.inverse(T_this) @ T_next)
@@ -47,7 +49,8 @@ def _(T_this, T_next, tau):
     return se3.left_jacobian_inverse(step) / tau, se3.right_jacobian_inverse(step) / tau
 
 
-@twist_jacobians.mistake("plus and minus the identity", """The Jacobians are -I/tau and I/tau only where the step does not
+@twist_jacobians.mistake("plus and minus the identity", """The Jacobians are -I/tau and I/tau only where the step
+does not
 move; a step of a metre and a turn needs J_l^-1 and J_r^-1.""")
 def _(T_this, T_next, tau):
     return -np.eye(6) / tau, np.eye(6) / tau
@@ -77,7 +80,8 @@ def schur(H, g, n_poses):
     return S, x, V_inverse @ (g[p:] - E.T @ x)
 
 
-@schur.mistake("right side not reduced", """Eliminating the landmarks changes the right side as well: a - E V^-1 b. With a
+@schur.mistake("right side not reduced", """Eliminating the landmarks changes the right side as well: a - E V^-1 b.
+With a
 alone, what the cameras say about the landmarks is thrown away.""")
 def _(H, g, n_poses):
     p = n_poses
@@ -171,7 +175,8 @@ def robust_weight(r, c):
     return batch.cauchy(np.sum(r**2, axis=-1), c)
 
 
-@robust_weight.mistake("root of the weight", """The weight multiplies the squared residual. Its root multiplies residual and
+@robust_weight.mistake("root of the weight", """The weight multiplies the squared residual. Its root multiplies
+residual and
 Jacobian; return the weight itself.""")
 def _(r, c):
     cost, weight = batch.cauchy(np.sum(r**2, axis=-1), c)
@@ -191,7 +196,8 @@ def _(r, c):
     return batch.cauchy(np.sqrt(np.sum(r**2, axis=-1)), c)
 
 
-@robust_weight.mistake("each number by itself", """Wrong tracks are wrong as a whole. The loss is of the measurement: sum its
+@robust_weight.mistake("each number by itself", """Wrong tracks are wrong as a whole. The loss is of the measurement:
+sum its
 three squares first.""")
 def _(r, c):
     cost, weight = batch.cauchy(r**2, c)

@@ -36,7 +36,8 @@ def _(landmarks, covariance, i, j):
     return landmarks[i] - landmarks[j], _block(covariance, i, i) + _block(covariance, j, j)
 
 
-@pair_covariance.mistake("plus for minus", """That is the covariance of the sum. In a difference what both share cancels:
+@pair_covariance.mistake("plus for minus", """That is the covariance of the sum. In a difference what both share
+cancels:
 minus P_ij and minus P_ji.""")
 def _(landmarks, covariance, i, j):
     P = covariance
@@ -65,7 +66,8 @@ def _stacked(landmarks, covariance, pairs):
 @exercise(chapter=12, cases=_pairs_of, shows=[association.Candidates.joint, kalman.gate_threshold],
           outputs=["nis", "threshold"], hints=[
     "Stack the k differences into one vector; its covariance has 3k rows and is not block diagonal.",
-    "A has the rows [.. I .. -I ..]: d = A m, S = A P A^T, nis = d^T S^-1 d, threshold = kalman.gate_threshold(0.99, 3k)."])
+    "A has the rows [.. I .. -I ..]: d = A m, S = A P A^T, nis = d^T S^-1 d, threshold = "
+    "kalman.gate_threshold(0.99, 3k)."])
 def joint_nis(landmarks, covariance, pairs):
     """The NIS of k pairs together, and the largest that right pairs have with probability 0.99.
 
@@ -83,7 +85,8 @@ def _(landmarks, covariance, pairs):
     return sum(kalman.nis(d, S) for d, S in single), kalman.gate_threshold(0.99, 3 * len(pairs))
 
 
-@joint_nis.mistake("3 degrees of freedom", """k pairs are 3k numbers: the gate has 3k degrees of freedom. With 3 it turns
+@joint_nis.mistake("3 degrees of freedom", """k pairs are 3k numbers: the gate has 3k degrees of freedom. With 3 it
+turns
 away right pairs as soon as there are several.""")
 def _(landmarks, covariance, pairs):
     d, S = _stacked(landmarks, covariance, pairs)
@@ -116,7 +119,8 @@ def _fused(landmarks, covariance, new, old):
     return landmarks + delta.reshape(-1, 3), covariance - K @ H @ covariance
 
 
-@exercise(chapter=12, cases=_one_pair, shows=[association.fuse], outputs=["landmarks", "covariance"], tolerance=1e-7, hints=[
+@exercise(chapter=12, cases=_one_pair, shows=[association.fuse], outputs=["landmarks", "covariance"], tolerance=1e-7,
+          hints=[
     "It is a Kalman update with the measurement m_new - m_old = 0, without noise. Then the old row goes.",
     "H = [.. I .. -I ..], S = H P H^T, K = P H^T S^-1: all landmarks move by K (0 - (m_new - m_old)), P - K H P."])
 def fuse_pair(landmarks, covariance, new, old):
@@ -125,10 +129,12 @@ def fuse_pair(landmarks, covariance, new, old):
     landmarks : (n, 3), m, world. covariance : (3n, 3n), m^2. new, old : rows of the two. Returns landmarks (n-1, 3) and
     covariance (3n-3, 3n-3), the others in their old order.
     """
-    return _without(*_fused(landmarks, covariance, new, old), old)
+    moved, P = _fused(landmarks, covariance, new, old)
+    return _without(moved, P, old)
 
 
-@fuse_pair.mistake("average of the two", """The mean of the two positions ignores which of them is known better, and tells
+@fuse_pair.mistake("average of the two", """The mean of the two positions ignores which of them is known better, and
+tells
 the rest of the map nothing. It is a Kalman update with m_new - m_old = 0.""")
 def _(landmarks, covariance, new, old):
     moved = landmarks.copy()
@@ -146,13 +152,15 @@ def _(landmarks, covariance, new, old):
     return _without(moved, only, old)
 
 
-@fuse_pair.mistake("both rows kept", """After the update the two rows hold the same numbers, so the covariance is singular
+@fuse_pair.mistake("both rows kept", """After the update the two rows hold the same numbers, so the covariance is
+singular
 and the next update breaks. The old row has to go.""")
 def _(landmarks, covariance, new, old):
     return _fused(landmarks, covariance, new, old)
 
 
-@fuse_pair.mistake("old row dropped, nothing learned", """Dropping the old row is marginalising: it forgets what the place was
+@fuse_pair.mistake("old row dropped, nothing learned", """Dropping the old row is marginalising: it forgets what the
+place was
 known to be. First the update, then the row goes.""")
 def _(landmarks, covariance, new, old):
     return _without(landmarks, covariance, old)
@@ -178,7 +186,8 @@ def merge_ids(n, pairs):
     return association.merged(n, pairs)
 
 
-@merge_ids.mistake("one way only", """The new id points to the old one, and the old one may itself be another place: follow
+@merge_ids.mistake("one way only", """The new id points to the old one, and the old one may itself be another place:
+follow
 the chain to its end.""")
 def _(n, pairs):
     place = np.arange(n)

@@ -105,7 +105,7 @@ class Smoothed:
 def run_batch(problem, world_T_imu) -> Smoothed:
     """The batch estimate, from the filter's poses (T, 4, 4) on. problem : `batch.Problem`."""
     begin = time.perf_counter()
-    tolerance = batch.REAL_TOLERANCE if problem.loss is batch.cauchy else 1e-4
+    tolerance = batch.REAL_TOLERANCE if problem.loss is batch.cauchy else 1e-2
     solution = batch.solve(problem, batch.start(problem, world_T_imu), tolerance)
     return Smoothed(solution, time.perf_counter() - begin)
 
