@@ -9,8 +9,8 @@ from numerical import central_difference
 from vislam_edu import batch, metrics, recordings, se3, simulate, window_slam
 from vislam_edu.audit import audit
 from vislam_edu.noise import Noise
-from vislam_edu.stereo import StereoCamera
 from vislam_edu.simulate import faults
+from vislam_edu.stereo import StereoCamera
 from vislam_edu.studies import pipeline
 
 SHARED = Path(__file__).resolve().parents[2] / "shared" / "data"

@@ -8,15 +8,15 @@ import pytest
 from matplotlib.path import Path
 from numerical import central_difference
 from scipy.stats import chi2, multivariate_normal
+from vislam_edu.widgets.joint import JointPicture
+from vislam_edu.widgets.localisation import LocalisationPicture
+from vislam_edu.widgets.mapping import MappingPicture
 
 from vislam_edu import mapping, odometry, se3, simulate, window_slam
 from vislam_edu.error_state import RightInvariant, RightPerturbation
 from vislam_edu.noise import Noise
 from vislam_edu.studies import pipeline
 from vislam_edu.widgets import Panel, Stepper, joint, localisation, stereo_depth, twist
-from vislam_edu.widgets.joint import JointPicture
-from vislam_edu.widgets.localisation import LocalisationPicture
-from vislam_edu.widgets.mapping import MappingPicture
 from vislam_edu.widgets.stereo_depth import StereoDepthPicture
 from vislam_edu.widgets.twist import TwistPicture
 

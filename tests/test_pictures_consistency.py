@@ -9,6 +9,7 @@ import pytest
 from matplotlib.path import Path
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
+from vislam_edu.widgets.two_filters import TwoFiltersPicture
 
 from vislam_edu import metrics, simulate, window_slam
 from vislam_edu.error_state import RightInvariant, RightPerturbation
@@ -17,7 +18,6 @@ from vislam_edu.studies import consistency
 from vislam_edu.widgets import Panel, tuning
 from vislam_edu.widgets.canvas import Decades
 from vislam_edu.widgets.tuning import TuningPicture
-from vislam_edu.widgets.two_filters import TwoFiltersPicture
 
 NOISE = Noise()
 REPORT = {"sigma_v": 0.1, "sigma_omega": 0.00316, "sigma_px": 15**0.5, "report_birth": True}
