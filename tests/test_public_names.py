@@ -51,9 +51,9 @@ def test_importing_the_package_changes_nothing():
 
 
 def test_drawing_leaves_the_settings_of_matplotlib_alone():
-    code = ("import matplotlib; before = dict(matplotlib.rcParams);"
+    code = ("import io, matplotlib; before = dict(matplotlib.rcParams);"
             "from vislam_edu import audit, load, plots, simulate; figure, axes = plots.new_figure();"
-            "plots.finish(figure, 'title').savefig('/dev/null', format='png');"
+            "plots.finish(figure, 'title').savefig(io.BytesIO(), format='png');"
             "audit.audit(simulate.street_loop(frames=20, visible=15)).figure();"
             "assert before == dict(matplotlib.rcParams)")
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)

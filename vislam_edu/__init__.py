@@ -35,6 +35,8 @@ motion                  the joint belief, and how it moves
 window_slam             the joint filter over the landmarks in view, fast
 consensus               a second gate: measurements that agree with each other
 smoother                the final estimate of every landmark
+batch                   the whole drive at once: least squares over poses and landmarks
+association             which landmarks are the same place, and closing the loop
 recordings              room: files
 simulate                room: drives with ground truth
 plots                   room: still pictures
@@ -51,7 +53,9 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from . import (
+        association,
         audit,
+        batch,
         consensus,
         drive,
         ekf_slam,
@@ -81,8 +85,8 @@ if TYPE_CHECKING:
 
 __version__ = "0.2.0"
 __all__ = [
-    "Drive", "Noise", "RightInvariant", "RightPerturbation", "StereoCamera", "audit", "consensus", "drive", "ekf_slam",
-    "error_state", "exercises", "kalman", "load", "mapping", "metrics", "motion", "noise", "odometry", "plots",
+    "Drive", "Noise", "RightInvariant", "RightPerturbation", "StereoCamera", "association", "audit", "batch",
+    "consensus", "drive", "ekf_slam", "error_state", "exercises", "kalman", "load", "mapping", "metrics", "motion", "noise", "odometry", "plots",
     "recordings", "se3", "simulate", "smoother", "stereo", "studies", "widgets", "window_slam",
 ]
 
