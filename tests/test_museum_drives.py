@@ -47,7 +47,7 @@ def wrong_version(piece):
 
 
 def error_state(name, drive):
-    return PIECES[name].told(drive)[1]["error_state"]
+    return PIECES[name].applied_to(drive)[1]["error_state"]
 
 
 def test_every_piece_but_the_right_one_hangs_in_an_exercise_too():
@@ -66,12 +66,12 @@ def test_the_right_one_is_the_package_and_every_mistake_stops_it_or_changes_the_
 
 def test_camera_pieces_are_those_of_the_exercises(drive):
     points = np.array([[1.0, 0.5, 8.0], [-3.0, 1.0, 20.0]])
-    camera = PIECES["depth"].told(drive)[0].camera
+    camera = PIECES["depth"].applied_to(drive)[0].camera
     expected = [wrong_version(PIECES["depth"])(drive.camera, point) for point in points]
     np.testing.assert_allclose(camera.projection_jacobian(points), expected)
     np.testing.assert_array_equal(camera.project(points)[0], drive.camera.project(points)[0])
 
-    camera, pixels = PIECES["bearings"].told(drive)[0].camera, drive.camera.project(points)[0]
+    camera, pixels = PIECES["bearings"].applied_to(drive)[0].camera, drive.camera.project(points)[0]
     expected, _ = wrong_version(PIECES["bearings"])(camera.K, camera.baseline, pixels)
     np.testing.assert_allclose(camera.triangulate(pixels)[0], expected)
 

@@ -414,7 +414,8 @@ def test_without_truth_nothing_black_is_drawn_and_no_error_is_claimed(result):
 
 
 def test_titles_tell_the_errors(result):
-    title = report_figures.FIGURES["fig6_initial_and_slam_trajectory"](result).axes[0].get_title(loc="left").replace("\n", " ")
+    figure = report_figures.FIGURES["fig6_initial_and_slam_trajectory"](result)
+    title = figure.axes[0].get_title(loc="left").replace("\n", " ")
     truth = result.drive.true_world_T_imu[-1, :3, 3]
     slam_error = np.linalg.norm(result.slam.trajectory.world_T_imu[-1, :3, 3] - truth)
     error = np.linalg.norm(result.dead_reckoning.world_T_imu[-1, :3, 3] - truth)

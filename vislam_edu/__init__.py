@@ -86,8 +86,9 @@ if TYPE_CHECKING:
 __version__ = "0.2.0"
 __all__ = [
     "Drive", "Noise", "RightInvariant", "RightPerturbation", "StereoCamera", "association", "audit", "batch",
-    "consensus", "drive", "ekf_slam", "error_state", "exercises", "kalman", "load", "mapping", "metrics", "motion", "noise", "odometry", "plots",
-    "recordings", "se3", "simulate", "smoother", "stereo", "studies", "widgets", "window_slam",
+    "consensus", "drive", "ekf_slam", "error_state", "exercises", "kalman", "load", "mapping", "metrics", "motion",
+    "noise", "odometry", "plots", "recordings", "se3", "simulate", "smoother", "stereo", "studies", "widgets",
+    "window_slam",
 ]
 
 _DEFINED_IN = {"load": "recordings", "Drive": "drive", "Noise": "noise", "StereoCamera": "stereo",

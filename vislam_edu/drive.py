@@ -170,6 +170,10 @@ class Drive:
         """A validated copy with these fields changed."""
         return dataclasses.replace(self, **fields)
 
+    def with_extrinsics(self, cam_T_imu: np.ndarray) -> Drive:
+        """A copy whose camera sits elsewhere on the body. cam_T_imu : (4, 4)."""
+        return self.replace(camera=dataclasses.replace(self.camera, cam_T_imu=cam_T_imu))
+
     def apply(self, cure: Any) -> Drive:
         """The drive after a cure (`cures`), a function from a drive to a drive with a `name`; the history says so."""
         return cure(self).replace(history=(*self.history, cure.name))

@@ -185,7 +185,7 @@ class PoseNees:
 
 def pose_nees(error_state: ErrorState, true_world_T_imu: np.ndarray, world_T_imu: np.ndarray,
               covariance: np.ndarray) -> PoseNees:
-    """NEES of a pose, the error measured in the coordinates in which the filter's covariance is told.
+    """NEES of a pose, the error measured in the coordinates in which the filter's covariance is expressed.
 
     error_state : `ErrorState`; its `pose_difference` is the error, [position, rotation].
     true_world_T_imu, world_T_imu : (..., 4, 4). covariance : (..., 6, 6) of that error.

@@ -23,7 +23,7 @@ class Noise:
     sigma_px : px, white noise on each of the four numbers of a stereo measurement.
     initial_pose_covariance : (6, 6), order [position m, rotation rad], of the filter's own pose error at the start:
         in the body frame for a right perturbation, in the world frame for the right-invariant error. At the identity,
-        where filters start unless told otherwise, the two are one. The default is the report's Sigma_RR.
+        where filters start unless a pose is given, the two are one. The default is the report's Sigma_RR.
     landmark_prior : m^2, the variance per axis that the report gives a new landmark (Sigma_LL = 2 I).
         Only the `as_report` initialisations use it.
 

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..drive import Drive
-from ..stereo import StereoCamera
 from . import track_health
 
 
@@ -29,10 +28,6 @@ class Cure:
 
     def __str__(self):
         return self.name + (" (needs the whole drive)" if self.needs_future else "")
-
-
-def _with_extrinsics(drive, cam_T_imu):
-    return drive.replace(camera=StereoCamera(drive.camera.K, drive.camera.baseline, cam_T_imu))
 
 
 def end_tracks_at_copies() -> Cure:
@@ -114,7 +109,7 @@ def turn_imu_axes(rotation) -> Cure:
     turn[:3, :3] = rotation
     return Cure(
         f"cam_T_imu right-multiplied by {describe_axes(rotation)}", False,
-        lambda drive: _with_extrinsics(drive, drive.camera.cam_T_imu @ turn),
+        lambda drive: drive.with_extrinsics(drive.camera.cam_T_imu @ turn),
     )  # fmt: skip
 
 
@@ -126,7 +121,7 @@ def rotate_extrinsics(imu_R_imu) -> Cure:
         cam_T_imu = np.eye(4)
         cam_T_imu[:3, :3] = drive.camera.cam_T_imu[:3, :3] @ imu_R_imu
         cam_T_imu[:3, 3] = -cam_T_imu[:3, :3] @ imu_T_cam[:3, 3]
-        return _with_extrinsics(drive, cam_T_imu)
+        return drive.with_extrinsics(cam_T_imu)
 
     degrees = np.degrees(np.arccos(np.clip((np.trace(imu_R_imu) - 1) / 2, -1, 1)))
     return Cure(f"extrinsics rotated by {degrees:.2f} deg", True, function)
@@ -138,7 +133,7 @@ def swap_translation() -> Cure:
     def function(drive):
         cam_T_imu = drive.camera.cam_T_imu.copy()
         cam_T_imu[:3, 3] = -cam_T_imu[:3, :3] @ cam_T_imu[:3, 3]
-        return _with_extrinsics(drive, cam_T_imu)
+        return drive.with_extrinsics(cam_T_imu)
 
     return Cure("translation t of cam_T_imu replaced by -R t", False, function)
 
@@ -149,7 +144,7 @@ def set_lever_arm(camera_in_imu) -> Cure:
     def function(drive):
         cam_T_imu = drive.camera.cam_T_imu.copy()
         cam_T_imu[:3, 3] = -cam_T_imu[:3, :3] @ camera_in_imu
-        return _with_extrinsics(drive, cam_T_imu)
+        return drive.with_extrinsics(cam_T_imu)
 
     return Cure(f"camera put at {np.round(camera_in_imu, 2).tolist()} m in the IMU frame", True, function)
 

@@ -135,7 +135,7 @@ def misalignment(drive, alignment):
 def lever_arm(drive, alignment):
     """Where the camera sits.
 
-    A speed that is told in the body frame of another moment within the step looks like a lever arm of v times that
+    A speed that is expressed in the body frame of another moment within the step looks like a lever arm of v times that
     time, along the way the car goes: up to half a step either way, so tau^2 / 12 of v v^T is not known.
     """
     speed = np.median(alignment.measured[:, :3], axis=0) * np.median(drive.taus)

@@ -3,7 +3,7 @@
 Each step is driven twice: by the IMU and by the cameras. What the two differ by, after the mounting, the bias and the
 scale that fit best, is the noise of both; the cameras' part is known from the Hessian of their own fit and is
 subtracted. Whatever else the two disagree about (a speed averaged over another interval, slip, a wobbling mount) counts
-as IMU noise, which is what a filter needs to be told.
+as IMU noise, which is what a filter needs.
 """
 
 from dataclasses import dataclass

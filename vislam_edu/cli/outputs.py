@@ -58,7 +58,7 @@ def summary(result, smoothed=None) -> dict:
 def _errors(drive, world_T_imu, prefix):
     truth = drive.true_world_T_imu
     first = np.flatnonzero(np.isfinite(truth[:, 0, 0]))[0]
-    if first:  # the truth starts late: it is told in the frame of its own first pose
+    if first:  # the truth starts late: it is expressed in the frame of its own first pose
         truth = world_T_imu[first] @ truth
     error = metrics.position_errors(truth, world_T_imu)
     world_T_cam = world_T_imu @ drive.camera.imu_T_cam

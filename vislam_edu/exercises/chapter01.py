@@ -226,7 +226,8 @@ def _(T):
     return block_diag(T[:3, :3], T[:3, :3])
 
 
-@adjoint.mistake("R p^ in place of p^ R", "p is told in frame a, so it acts after R has turned the twist into a: p^ R.")
+@adjoint.mistake("R p^ in place of p^ R",
+                 "p is expressed in frame a, so it acts after R has turned the twist into a: p^ R.")
 def _(T):
     A = block_diag(T[:3, :3], T[:3, :3])
     A[:3, 3:] = T[:3, :3] @ se3.so3_hat(T[:3, 3])
@@ -311,7 +312,7 @@ def dead_reckon(world_T_imu, twists, taus):
 
 
 @dead_reckon.mistake("world and body mixed", """The twist is measured in the body frame, so its exponential stands to
-the right of world_T_imu. On the left it would be a motion told in the world frame.""")
+the right of world_T_imu. On the left it would be a motion expressed in the world frame.""")
 def _(world_T_imu, twists, taus):
     poses = [world_T_imu]
     for twist, tau in zip(twists, taus):
@@ -385,14 +386,15 @@ def _(covariance, twist, tau, Q):
     return _predicted(covariance, twist, tau, Q, B=tau * np.eye(6))
 
 
-@predict_covariance.mistake("F of the wrong sign", """The error of the old pose is told in the old body frame; to reach
+@predict_covariance.mistake("F of the wrong sign", """The error of the old pose is expressed in the old body frame;
+to reach
 the new one it goes back along the step: exp(-tau u^). With +tau it would go further away.""")
 def _(covariance, twist, tau, Q):
     return _predicted(covariance, twist, tau, Q, F=se3.adjoint(se3.exp(tau * twist)))
 
 
-@predict_covariance.mistake("world and body mixed", """F = I belongs to an error told in the world frame (left
-perturbation). The right perturbation is told in the body frame, which has moved.""")
+@predict_covariance.mistake("world and body mixed", """F = I belongs to an error expressed in the world frame (left
+perturbation). The right perturbation is expressed in the body frame, which has moved.""")
 def _(covariance, twist, tau, Q):
     return _predicted(covariance, twist, tau, Q, F=np.eye(6))
 

@@ -105,7 +105,8 @@ def _(K, uv1, uv2, R, p):
     return _met(stereo.bearing(K, uv1), stereo.bearing(K, uv2), R, -p)
 
 
-@triangulate_bearings.mistake("told in camera 2", """This is the point in the frame of camera 2. Its depth along the
+@triangulate_bearings.mistake("expressed in camera 2", """This is the point in the frame of camera 2. Its depth
+along the
 first bearing, times that bearing, tells it in camera 1.""")
 def _(K, uv1, uv2, R, p):
     return R.T @ (_met(stereo.bearing(K, uv1), stereo.bearing(K, uv2), R, p) - p)

@@ -65,7 +65,7 @@ def _s_and_J(camera, world_T_imu, landmark):
     return s, camera.projection_jacobian(se3.transform(camera.cam_T_imu, s))
 
 
-@pose_jacobian.mistake("extrinsics forgotten", """odot(s) is told in the IMU frame, dpi/dq in the camera frame:
+@pose_jacobian.mistake("extrinsics forgotten", """odot(s) is expressed in the IMU frame, dpi/dq in the camera frame:
 cam_T_imu stands between them.""")
 def _(camera, world_T_imu, landmark):
     s, J = _s_and_J(camera, world_T_imu, landmark)
@@ -78,8 +78,9 @@ def _(camera, world_T_imu, landmark):
     return -camera.pose_jacobian(world_T_imu, landmark)
 
 
-@pose_jacobian.mistake("world and body mixed", """This belongs to exp(e^) T, a perturbation told in the world frame. A
-right perturbation T exp(e^) is told in the body: odot(s), s in the IMU frame.""")
+@pose_jacobian.mistake("world and body mixed", """This belongs to exp(e^) T, a perturbation expressed in the world
+frame. A
+right perturbation T exp(e^) is expressed in the body: odot(s), s in the IMU frame.""")
 def _(camera, world_T_imu, landmark):
     _, J = _s_and_J(camera, world_T_imu, landmark)
     return -J @ camera.cam_T_imu @ se3.inverse(world_T_imu) @ se3.odot(landmark)
@@ -134,7 +135,7 @@ def pose_update(camera, world_T_imu, covariance, landmarks, pixels, sigma_px):
     return world_T_imu @ se3.exp(delta), P
 
 
-@pose_update.mistake("world and body mixed", """The correction is a right perturbation, told in the body frame:
+@pose_update.mistake("world and body mixed", """The correction is a right perturbation, expressed in the body frame:
 T exp(delta^), not exp(delta^) T.""")
 def _(camera, world_T_imu, covariance, landmarks, pixels, sigma_px):
     delta, P = _correction(camera, world_T_imu, covariance, landmarks, pixels, sigma_px**2 * np.eye(pixels.size))

@@ -145,7 +145,7 @@ def _(covariance, world_T_imu, point_imu, C):
     return _born(covariance, world_T_imu, point_imu, G, G @ covariance[-6:, -6:] @ G.T + R @ C @ R.T, cross)
 
 
-@new_landmark.mistake("pose taken for known", """R C R^T is the landmark's uncertainty if the pose were exact. The
+@new_landmark.mistake("pose assumed known", """R C R^T is the landmark's uncertainty if the pose were exact. The
 pose's own error comes on top: G P_RR G^T, and the correlation with it.""")
 def _(covariance, world_T_imu, point_imu, C):
     G, R = _G(world_T_imu, point_imu), world_T_imu[:3, :3]
@@ -169,14 +169,15 @@ def _(covariance, world_T_imu, point_imu, C):
     return m, kalman.update(P, H, C, np.zeros(3))[1]
 
 
-@new_landmark.mistake("triangulation not turned into the world", """C is told in the IMU frame, the landmark in the
+@new_landmark.mistake("triangulation not turned into the world", """C is expressed in the IMU frame, the landmark in the
 world: R C R^T.""")
 def _(covariance, world_T_imu, point_imu, C):
     G = _G(world_T_imu, point_imu)
     return _born(covariance, world_T_imu, point_imu, G, G @ covariance[-6:, -6:] @ G.T + C)
 
 
-@new_landmark.mistake("world and body mixed", """[I, -m^] belongs to a perturbation told in the world frame. For the
+@new_landmark.mistake("world and body mixed", """[I, -m^] belongs to a perturbation expressed in the world frame.
+For the
 right perturbation G = R [I, -s^], s in the IMU frame.""")
 def _(covariance, world_T_imu, point_imu, C):
     R = world_T_imu[:3, :3]
@@ -307,7 +308,8 @@ def _(world_T_imu, landmarks, covariance, H, residual, V):
     return world_T_imu @ se3.exp(delta[landmarks.size:]), landmarks.copy(), P
 
 
-@joint_update.mistake("world and body mixed", """The pose's correction is a right perturbation, told in the body frame:
+@joint_update.mistake("world and body mixed", """The pose's correction is a right perturbation, expressed in the
+body frame:
 T exp(delta^), not exp(delta^) T.""")
 def _(world_T_imu, landmarks, covariance, H, residual, V):
     delta, P = kalman.update(covariance, H, V, residual)

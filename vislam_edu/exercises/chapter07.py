@@ -37,13 +37,14 @@ def invariant_noise(world_T_imu, landmarks, body_noise):
     return _stacked(_INVARIANT.landmark_transition(landmarks, B), B)
 
 
-@invariant_noise.mistake("landmarks left out", """The landmarks stand still, but their error is told relative to a world
+@invariant_noise.mistake("landmarks left out", """The landmarks stand still, but their error is expressed relative
+to a world
 that turns with the pose's error: m^ B_R. Without it the filter is inconsistent again.""")
 def _(world_T_imu, landmarks, body_noise):
     return _stacked(np.zeros((len(landmarks), 3, 6)), se3.adjoint(world_T_imu) @ body_noise)
 
 
-@invariant_noise.mistake("world and body mixed", """The IMU's noise is told in the body frame, the invariant
+@invariant_noise.mistake("world and body mixed", """The IMU's noise is expressed in the body frame, the invariant
 error in the
 world: the Adjoint of the pose stands between them.""")
 def _(world_T_imu, landmarks, body_noise):
@@ -99,8 +100,9 @@ def _(J, world_T_imu):
     return H, np.concatenate([-H, H @ se3.so3_hat(world_T_imu[:3, 3])], axis=-1)
 
 
-@invariant_jacobian.mistake("told in the body frame", """-J alone is the right perturbation's block, told in the
-body frame. Here the position error is told in the world: -J R^T.""")
+@invariant_jacobian.mistake("expressed in the body frame", """-J alone is the right perturbation's block, expressed
+in the
+body frame. Here the position error is expressed in the world: -J R^T.""")
 def _(J, world_T_imu):
     return J @ world_T_imu[:3, :3].T, np.concatenate([-J, np.zeros_like(J)], axis=-1)
 

@@ -109,7 +109,7 @@ def _(H, g, n_poses):
     return S, x, np.linalg.solve(V, g[p:] - E.T @ x)
 
 
-@schur.mistake("block cut out", """Cutting out U takes the landmarks for known. In the information matrix that is
+@schur.mistake("block cut out", """Cutting out U assumes the landmarks known. In the information matrix that is
 conditioning; to marginalise needs the Schur complement.""")
 def _(H, g, n_poses):
     p = n_poses

@@ -5,7 +5,7 @@
         '''Statement: what to write, shapes, frames, units.'''
         return se3.so3_hat(omega)
 
-    @so3_hat.mistake("transposed", "What the student is told.")
+    @so3_hat.mistake("transposed", "What the student reads.")
     def _(omega):
         return -se3.so3_hat(omega)
 
@@ -39,7 +39,7 @@ _STUB = '''def {name}{signature}:
 
 @dataclass(frozen=True)
 class Mistake:
-    """One wrong version: its name in the museum, what the student is told, and the function itself."""
+    """One wrong version: its name in the museum, what the student reads, and the function itself."""
 
     name: str
     hint: str

@@ -47,7 +47,7 @@ def _same(exercise, outcome, piece: Outcome) -> bool:
 
 
 def table(width=110) -> str:
-    """Every exercise, its mistakes and what the student is told, as text."""
+    """Every exercise, its mistakes and what the student reads, as text."""
     lines = []
     for exercise in EXERCISES.values():
         lines.append(f"{exercise.chapter:02d}  {exercise.name}")

@@ -1,4 +1,4 @@
-"""Calling a function that someone else wrote: copies in, arrays out, a time limit, and errors told as theirs."""
+"""Calling a function that someone else wrote: copies in, arrays out, a time limit, and errors named as theirs."""
 
 import ctypes
 import linecache
@@ -142,7 +142,7 @@ def _their_frames(error):
             if not frame.filename.startswith(tuple(_NOT_THEIRS))]
 
 
-def told(error) -> str:
+def error_message(error) -> str:
     """An exception as its author needs it: their own lines, innermost last, and the message."""
     if isinstance(error, Unreadable):
         return str(error)

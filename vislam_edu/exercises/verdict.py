@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from . import museum
 from .comparing import argument, differs
 from .exercise import Exercise, short
-from .running import LIMIT, answers, arrays, copied, told
+from .running import LIMIT, answers, arrays, copied, error_message
 
 RIGHT, NOT_WRITTEN, WRONG = "right", "not written yet", "wrong"
 
@@ -55,7 +55,7 @@ def judge(exercise: Exercise, function, limit=LIMIT) -> Verdict:
 
 def _reason(exercise, outcome, expected) -> str:
     if outcome.error is not None:
-        return told(outcome.error)
+        return error_message(outcome.error)
     reason = differs(exercise, outcome, expected)
     if outcome.changed:
         changed = f"your function changes its argument {' and '.join(outcome.changed)}: work on a copy"

@@ -6,16 +6,9 @@ was.
 
 import numpy as np
 
-from ..stereo import StereoCamera
-
 
 def _planted(drive, what, **fields):
     return drive.replace(history=(*drive.history, f"planted: {what}"), **fields)
-
-
-def _with_extrinsics(drive, cam_T_imu, what):
-    camera = StereoCamera(K=drive.camera.K, baseline=drive.camera.baseline, cam_T_imu=cam_T_imu)
-    return _planted(drive, what, camera=camera)
 
 
 def flip_imu_axes(drive, signs=(1, -1, -1)):
@@ -29,7 +22,7 @@ def flip_imu_axes(drive, signs=(1, -1, -1)):
     if signs.shape != (3,) or not np.isin(signs, (-1, 1)).all() or signs.prod() != 1:
         raise ValueError(f"signs must be three numbers +1 or -1 whose product is +1, got {signs.tolist()}")
     flip = np.diag([*signs, 1.0])
-    return _with_extrinsics(drive, drive.camera.cam_T_imu @ flip, f"IMU axes flipped by {signs.tolist()}")
+    return _planted(drive.with_extrinsics(drive.camera.cam_T_imu @ flip), f"IMU axes flipped by {signs.tolist()}")
 
 
 def wrong_lever_arm(drive, translation=None):
@@ -40,7 +33,7 @@ def wrong_lever_arm(drive, translation=None):
     """
     cam_T_imu = drive.camera.cam_T_imu.copy()
     cam_T_imu[:3, 3] = drive.camera.imu_T_cam[:3, 3] if translation is None else translation
-    return _with_extrinsics(drive, cam_T_imu, f"lever arm set to {cam_T_imu[:3, 3].round(3).tolist()} m")
+    return _planted(drive.with_extrinsics(cam_T_imu), f"lever arm set to {cam_T_imu[:3, 3].round(3).tolist()} m")
 
 
 def add_gyro_bias(drive, bias):

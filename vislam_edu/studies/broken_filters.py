@@ -44,7 +44,7 @@ class SignFlipped(RightPerturbation):
 
 
 class WithoutExtrinsics(RightPerturbation):
-    """The pose Jacobian -K_s dpi/dq odot(s): what the IMU frame says, told as if in the camera frame."""
+    """The pose Jacobian -K_s dpi/dq odot(s): what the IMU frame says, written as if in the camera frame."""
 
     def __init__(self, camera):
         self.imu_R_cam = camera.imu_T_cam[:3, :3]
@@ -55,7 +55,7 @@ class WithoutExtrinsics(RightPerturbation):
 
 
 class WorldCorrection(RightPerturbation):
-    """exp(epsilon^) T: a correction told in the body frame, applied in the world frame."""
+    """exp(epsilon^) T: a correction expressed in the body frame, applied in the world frame."""
 
     def retract(self, world_T_imu, landmarks, delta):
         _, moved = super().retract(world_T_imu, landmarks, delta)
@@ -141,23 +141,23 @@ def used_twice(prior, ids, pixels, settings):
 
 @dataclass(frozen=True, eq=False)
 class Piece:
-    """A mistake: its title, what `window_slam.run` is told in its place, and the exercise whose check catches it.
+    """A mistake: its title, what `window_slam.run` is expressed in its place, and the exercise whose check catches it.
 
-    told : drive -> (drive, keyword arguments of `window_slam.run`). exercise, mistake : names in `exercises`; empty
+    applied_to : drive -> (drive, keyword arguments of `window_slam.run`). exercise, mistake : names in `exercises`; empty
     for the right filter.
     """
 
     title: str
-    told: Callable
+    applied_to: Callable
     exercise: str = ""
     mistake: str = ""
 
 
 def _camera(kind):
-    def told(drive):
+    def applied_to(drive):
         camera = kind(drive.camera.K, drive.camera.baseline, drive.camera.cam_T_imu)
         return drive.replace(camera=camera), {}
-    return told
+    return applied_to
 
 
 def _with(**arguments):
@@ -206,7 +206,7 @@ class Visit:
 
     title : of the piece. world_T_imu : (T, 4, 4). error : (T,) m, distance from the truth. nis : (T,), mean over
     the measurements of a frame, 4 if the filter is honest, NaN where it predicted none. nees : (T,) of the pose, 6
-    if the filter is honest, infinite where its covariance is none. used : share of the measurements that passed the
+    if the filter is honest, infinite where its covariance is not positive definite. used : share of the measurements that passed the
     gate. stopped : the frame at which it could not go on, or None.
     """
 
@@ -243,9 +243,9 @@ def visit(piece, drive, noise, world_T_imu, gate=1) -> Visit:
     """Drive a piece. drive : Drive with truth. noise : Noise. world_T_imu : (4, 4), where it believes to start.
 
     There is no gate by default: it would hide a mistake by keeping out the measurements that contradict it.
-    A filter that ends in NaN, or with a covariance that is none, is stopped there; the visit holds what was before.
+    A filter that ends in NaN, or with a covariance that is not positive definite, is stopped there; the visit holds what was before.
     """
-    drive, arguments = piece.told(drive)
+    drive, arguments = piece.applied_to(drive)
     steps, stopped = [], None
     with np.errstate(all="ignore"):
         try:

@@ -38,7 +38,7 @@ class Mapped:
 class Slam:
     """What the joint filter said.
 
-    trajectory : Trajectory after each frame's update, its covariance told as a right perturbation whatever
+    trajectory : Trajectory after each frame's update, its covariance expressed as a right perturbation whatever
     the error state of the filter. map : MapBelief, each landmark as it was when it left the state, or at the
     end, its covariance in the world frame (m^2). measurements, rejected : how many were compared with a
     prediction, and how many of them the gate kept out. seconds : what the filter took. method : key of the
@@ -154,7 +154,7 @@ def run_pipeline(drive, noise, error_state=None, *, motion_model=motion.ImuDrive
 
 
 def first_sight(drive, noise, world_T_imu, min_disparity=1.0) -> MapBelief:
-    """Each landmark where its first good stereo view puts it, the poses (T, 4, 4) taken for known.
+    """Each landmark where its first good stereo view puts it, the poses (T, 4, 4) assumed known.
 
     A view is good when its disparity is above `min_disparity` px. Covariance: that of the triangulation
     alone. Source: report section 3.2.1 and figure 2.

@@ -42,7 +42,7 @@ class Outcome:
 
 
 def camera_path(world_T_cam):
-    """(T, 4, 4): the poses told in the frame of the first one, which does not depend on the IMU's axes."""
+    """(T, 4, 4): the poses expressed in the frame of the first one, which does not depend on the IMU's axes."""
     return se3.inverse(world_T_cam[np.isfinite(world_T_cam[:, 0, 0])][0]) @ world_T_cam
 
 
