@@ -1332,10 +1332,12 @@ function render({ model, el }) {
   const recheck = () => { recolour(); draw(); };
   let width = 0;
   const resize = new ResizeObserver(() => {
-    if (root.clientWidth !== width) arrange(); // a caption of more lines changes nothing
+    if (root.clientWidth === width) return; // a caption of more lines changes nothing
     width = root.clientWidth;
+    recolour(); // only now, in the page, is it known what stands behind
+    arrange();
   });
-  const themes = new MutationObserver(recheck);
+  const themes = new MutationObserver(() => { recheck(); setTimeout(recheck, 500); }); // its style sheet may come later
   const scheme = window.matchMedia("(prefers-color-scheme: dark)");
   const fromKernel = () => {
     if (model.get("data") !== onData.last) { onData(); return; }
