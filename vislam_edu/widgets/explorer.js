@@ -10,7 +10,7 @@
 
 const ARRAYS = { f4: Float32Array, i4: Int32Array, i2: Int16Array };
 const ONE = 32767; // int16 of a correlation of 1
-const SIGHT = 14; // numbers a measurement, see packing.py
+const SIGHT = 13; // numbers a measurement, see packing.py
 const RADIUS = Math.sqrt(5.991464547107979); // of the 95 % ellipse, in sigmas: chi-square, 2 degrees of freedom
 
 /**
