@@ -1068,7 +1068,8 @@ function make(tag, attributes = {}, ...children) {
 
 /** A select with its label. options: [value, text] pairs. */
 function choice(text, options, value, change) {
-  const select = make("select", { onchange: () => change(select.value) });
+  // Named by itself: the text of the label around it has all the options in it.
+  const select = make("select", { ariaLabel: text, onchange: () => change(select.value) });
   for (const [v, words] of options) select.append(make("option", { value: v, textContent: words }));
   select.value = value;
   return { box: make("label", {}, text, select), select };
@@ -1096,7 +1097,7 @@ function render({ model, el }) {
   const button = (text, name, press) => make("button", { type: "button", textContent: text, title: name, ariaLabel: name,
     onclick: press });
   const play = button("Play", "play (space)", () => toggle());
-  const slider = make("input", { type: "range", min: 0, max: history.n - 1, oninput: () => go(+slider.value) });
+  const slider = make("input", { type: "range", ariaLabel: history.unit, min: 0, max: history.n - 1, oninput: () => go(+slider.value) });
   const readout = make("output", {});
   const caption = make("p", { className: "vx-caption", role: "status" });
   const tip = make("div", { className: "vx-tip" });
