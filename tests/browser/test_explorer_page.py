@@ -240,7 +240,7 @@ def test_play_goes_on_and_pause_stops_at_once(opened):
 
 def test_a_held_key_shows_every_half_step(opened):
     page = opened("joint")
-    page.evaluate("""() => { const output = document.querySelector('.vx output'); window.seen = [];
+    page.evaluate("""() => { const output = document.querySelector('.vx-readout'); window.seen = [];
         new MutationObserver(() => window.seen.push(document.querySelector('.vx').explorer.state().i))
             .observe(output, {childList: true}); }""")
     page.get_by_label("half-step").focus()
@@ -307,14 +307,15 @@ def test_two_runs_stand_side_by_side_and_move_together(opened, explorers):
 def test_the_theme_is_that_of_the_page(opened, name, scheme):
     page = opened(name, color_scheme=scheme)
     assert state(page)["theme"] == scheme
-    colour = page.evaluate("""() => { const all = [...document.querySelectorAll('.vx canvas')];
-        const c = all.find(e => e.ariaLabel.startsWith('map')), found = {};
-        const d = c.getContext('2d').getImageData(0, 0, c.width, c.height).data;
-        for (let i = 0; i < d.length; i += 4) if (d[i + 3] === 255) {
-            const key = '#' + [0, 1, 2].map(k => d[i + k].toString(16).padStart(2, '0')).join('').toUpperCase();
-            found[key] = 1; }
-        return Object.keys(found); }""")
-    assert style.both_themes()[scheme]["measured"].upper() in colour
+    assert state(page)["colours"]["posterior"] == style.both_themes()[scheme]["posterior"]
+    ink = page.evaluate("""() => [...document.querySelectorAll('.vx canvas')].map(canvas => {
+        const d = canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height).data;
+        let light = 0, dark = 0;
+        for (let i = 0; i < d.length; i += 4) {
+            if (d[i + 3] === 255) (d[i] + d[i + 1] + d[i + 2] > 450 ? light++ : dark++);
+        }
+        return light > 300 || dark > 300; })""")
+    assert all(ink)
 
 
 @pytest.mark.parametrize("ratio", [1, 2])
@@ -346,7 +347,9 @@ def test_notebook_7_leaves_the_arrow_keys_to_the_explorer(chromium, tmp_path):
         "from vislam_edu import recordings, simulate, window_slam\nfrom vislam_edu.noise import Noise\n"
         "from vislam_edu.widgets import Explorer\ndrive = simulate.first_steps().slice(0, 12)\n"
         "explorer = Explorer(window_slam.run(drive, Noise()), drive, start=10)\nexplorer")
-    nbformat.write(nbformat.v4.new_notebook(cells=[cell, nbformat.v4.new_markdown_cell("below")]), tmp_path / "a.ipynb")
+    notebook = nbformat.v4.new_notebook(cells=[cell, nbformat.v4.new_markdown_cell("below")], metadata={
+        "kernelspec": {"name": "python3", "display_name": "Python 3", "language": "python"}})
+    nbformat.write(notebook, tmp_path / "a.ipynb")
     port, log = free_port(), tmp_path / "notebook.log"
     folders = {f"JUPYTER_{name}_DIR": str(tmp_path / name) for name in ("CONFIG", "DATA", "RUNTIME")}
     command = [sys.executable, "-m", "notebook", "--no-browser", "--allow-root", "--ip=127.0.0.1", f"--port={port}",
