@@ -191,8 +191,8 @@ def explore(page, explorer):
     explorer.scroll_into_view_if_needed()
     before = explorer.evaluate(STATE)
     forth, back = ("ArrowLeft", "ArrowRight") if before["i"] > 5 else ("ArrowRight", "ArrowLeft")
-    cell = page.evaluate("() => window.jupyterapp.shell.currentWidget.content.activeCellIndex")
     explorer.locator("input[type=range]").focus()
+    cell = page.evaluate("() => window.jupyterapp.shell.currentWidget.content.activeCellIndex")
     for _ in range(3):
         page.keyboard.press(forth)
     moved = explorer.evaluate(STATE)
