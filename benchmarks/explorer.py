@@ -2,8 +2,9 @@
 
 The explorer of chapter 05 (two runs of 120 half-steps) in a plain page and in JupyterLab, in real Chromium:
 milliseconds from a key press to the frame that shows it, median and worst of 50 presses, and bytes sent per explorer.
-Also the milliseconds that the kernel needs for one picture of each panel. Prints, and writes benchmarks/results/explorer.json.
-Needs playwright and Chromium (CHROMIUM names it if it is not found). Run it on a quiet machine.
+Also the milliseconds that the kernel needs for one picture of each panel. Prints, and writes
+benchmarks/results/explorer.json. Needs playwright and Chromium (CHROMIUM names it if it is not found). Run it on a
+quiet machine.
 """
 
 import os
