@@ -1,4 +1,4 @@
-"""What every picture of a stepper or a panel must stand, whatever it shows.
+"""What every picture of a panel must stand, whatever it shows.
 
 picture : `vislam_edu.pictures.canvas.Picture`. states : those in which it is looked at, dicts of keyword arguments.
 """
@@ -8,7 +8,7 @@ import itertools
 from matplotlib.mathtext import MathTextParser
 
 from vislam_edu.plots import style
-from vislam_edu.widgets import Panel, Stepper
+from vislam_edu.widgets import Panel
 
 GITHUB = 830  # px (CSS), the width to which GitHub shrinks a wider picture; JupyterLab's output area is wider
 SMALLEST = 8  # points of 1/72 inch, an inch being 96 px (CSS)
@@ -72,8 +72,7 @@ def depends_on_the_state_only(picture, states):
 
 def can_be_said_and_shown(picture, states):
     """It has words for each state, and a widget that knows its name."""
-    widget = Stepper(picture) if "i" in states[0] else Panel(picture)
-    assert picture.name in repr(widget)
+    assert picture.name in repr(Panel(picture))
     assert len(picture.alt(**states[0])) > 100
     assert picture.caption(**states[0]) != picture.caption(**states[1])
 

@@ -59,9 +59,10 @@ def test_right_filter_and_truth_stand_still(picture, visits, drive):
 def test_the_slider_offers_every_mistake_and_says_its_numbers(picture, visits):
     panel = Panel(picture)
     slider = panel.controls["piece"]
-    assert (slider.min, slider.max) == (1, len(visits) - 1)
+    low, high = slider.control.low, slider.control.high
+    assert (low, high) == (1, len(visits) - 1)
     pictures = set()
-    for piece in range(slider.min, slider.max + 1):
+    for piece in range(low, high + 1):
         slider.value = piece
         pictures.add(panel.image.value)
         caption = picture.caption(piece)

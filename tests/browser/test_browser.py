@@ -3,31 +3,20 @@
 Needs Chromium (or Chrome; set CHROMIUM to its path if it is not found). Screenshots are left in screenshots/.
 """
 
-import contextlib
 import json
 import os
 import shutil
-import socket
 import subprocess
 import sys
-import time
-import urllib.request
 from pathlib import Path
 
 import nbformat
 import pytest
-
-playwright_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+from browser import NO_CHROMIUM, POLLING, SCREENSHOTS, SECOND, STATE, expect, free_port, listen, wait_for, wait_until
 
 ROOT = Path(__file__).resolve().parents[2]
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
-SCREENSHOTS = ROOT / "screenshots"
-BROWSERS = ("chromium", "chromium-browser", "google-chrome", "chrome", "msedge")
-CHROMIUM = os.environ.get("CHROMIUM") or next(filter(None, map(shutil.which, BROWSERS)), None)
-SECOND = 1000  # ms, the unit of playwright's timeouts
-POLLING = 100  # ms; playwright's default, to look at every frame that is drawn, keeps the processor busy
-
-pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium found; set CHROMIUM to its path")
+pytestmark = NO_CHROMIUM
 
 # The notebook's own indicator says idle before the kernel exists, and what is run then is lost.
 KERNEL_READY = """() => {
@@ -108,33 +97,6 @@ def copy_notebooks(folder):
         nbformat.write(notebook, path)
 
 
-def free_port():
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return probe.getsockname()[1]
-
-
-def wait_for(address, server, log, seconds=60):
-    deadline = time.monotonic() + seconds
-    while time.monotonic() < deadline and server.poll() is None:
-        with contextlib.suppress(OSError), urllib.request.urlopen(f"{address}/api/status", timeout=1):
-            return
-        time.sleep(0.1)
-    pytest.fail(f"JupyterLab did not start:\n{log.read_text()}")
-
-
-@pytest.fixture(scope="module")
-def chromium():
-    # No address but this machine's resolves, so nothing can be fetched unseen; root cannot use the sandbox.
-    options = ["--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1"]
-    if getattr(os, "geteuid", lambda: 1)() == 0:
-        options.append("--no-sandbox")
-    with playwright_api.sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=options)
-        yield browser
-        browser.close()
-
-
 @pytest.fixture(scope="module")
 def jupyterlab(chromium, lab):
     """A page with the application, which notebook after notebook is opened in: loading it takes longer than most run.
@@ -142,11 +104,7 @@ def jupyterlab(chromium, lab):
     It remembers in `complaints` what went wrong behind the scenes.
     """
     page = chromium.new_page(viewport={"width": 1300, "height": 950})
-    page.complaints = []
-    page.on("pageerror", lambda error: page.complaints.append(f"error in the page: {error}"))
-    page.on("console", lambda line: line.type == "error" and page.complaints.append(f"console: {line.text}"))
-    page.on("request", lambda request: request.url.startswith((lab, "data:", "blob:"))
-            or page.complaints.append(f"request: {request.url}"))
+    listen(page, lab)
     page.goto(f"{lab}/lab?reset")
     page.wait_for_function(RESTORED, timeout=60 * SECOND)
     return page
@@ -169,10 +127,12 @@ def test_notebook_in_the_browser(notebook, page):
     open_notebook(page, notebook.name)
     run_all(page)
     assert failures(page) == []
-    slider = page.locator(".jp-OutputArea-output:has(img.widget-image) .widget-slider .noUi-handle").first
+    slider = page.locator(".jp-OutputArea-output:has(img.widget-image) input[type=range]").first
     if slider.count():
         step_by_keyboard(page, slider)
-        play(page, slider)
+        is_sharp_and_fits(slider)
+    for explorer in page.locator(".vx").all():
+        explore(page, explorer)
     assert failures(page) == []
 
 
@@ -206,8 +166,8 @@ def step_by_keyboard(page, slider):
     """
     image = output_of(slider).locator("img.widget-image").first
     image.scroll_into_view_if_needed()
-    playwright_api.expect(image).to_be_visible()
-    at_end = slider.get_attribute("aria-valuenow") == slider.get_attribute("aria-valuemax")
+    expect(image).to_be_visible()
+    at_end = slider.evaluate("input => input.value === input.max")
     forth, back = ("ArrowLeft", "ArrowRight") if at_end else ("ArrowRight", "ArrowLeft")
     slider.focus()
     shown = image.evaluate(PICTURE)
@@ -219,18 +179,26 @@ def step_by_keyboard(page, slider):
     wait_until(page, lambda: image.evaluate(PICTURE) == before, "going back did not restore the picture")
 
 
-def play(page, slider):
-    button = output_of(slider).locator(".widget-play button").first
-    if not button.count():
-        return
-    start = slider.get_attribute("aria-valuenow")
-    button.click()
-    wait_until(page, lambda: slider.get_attribute("aria-valuenow") != start, "Play did not move the slider")
-    button.click()
+def is_sharp_and_fits(slider):
+    """Two pixels of the picture for one of the page, and with its controls at most as high as JupyterLab's window."""
+    image = output_of(slider).locator("img.widget-image").first
+    assert image.evaluate("image => image.naturalWidth / image.clientWidth") >= 1.9
+    assert output_of(slider).evaluate("output => output.clientHeight") <= 700
 
 
-def wait_until(page, condition, message, seconds=15):
-    deadline = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < deadline, message
-        page.wait_for_timeout(50)
+def explore(page, explorer):
+    """Keys move the explorer and not the notebook; the kernel learns where it stands."""
+    explorer.scroll_into_view_if_needed()
+    before = explorer.evaluate(STATE)
+    forth, back = ("ArrowLeft", "ArrowRight") if before["i"] > 5 else ("ArrowRight", "ArrowLeft")
+    explorer.locator("input[type=range]").focus()
+    cell = page.evaluate("() => window.jupyterapp.shell.currentWidget.content.activeCellIndex")
+    for _ in range(3):
+        page.keyboard.press(forth)
+    moved = explorer.evaluate(STATE)
+    assert abs(moved["i"] - before["i"]) == 3
+    assert moved["map"][0]["pose"] != before["map"][0]["pose"]
+    for _ in range(3):
+        page.keyboard.press(back)
+    assert explorer.evaluate(STATE) == before
+    assert page.evaluate("() => window.jupyterapp.shell.currentWidget.content.activeCellIndex") == cell

@@ -6,7 +6,7 @@ function render({ model, el }) {
   const { label, kind, low, high, step } = model.get("spec");
   const box = document.createElement("label"), input = document.createElement("input");
   const name = document.createElement("span"), shown = document.createElement("output");
-  box.setAttribute("data-lm-suppress-shortcuts", "true"); // JupyterLab and Notebook 7 then leave the keys to the input
+  input.setAttribute("data-lm-suppress-shortcuts", "true"); // JupyterLab and Notebook 7 then leave it its keys
   box.style.cssText = "display:inline-flex;gap:6px;align-items:center;margin:2px 14px 2px 2px;white-space:nowrap;"
     + "font:13px var(--jp-ui-font-family,system-ui,sans-serif);color:var(--jp-ui-font-color1,inherit)";
   name.textContent = label;

@@ -10,7 +10,7 @@
 
 const ARRAYS = { f4: Float32Array, i4: Int32Array, i2: Int16Array };
 const ONE = 32767; // int16 of a correlation of 1
-const SIGHT = 14; // numbers a measurement, see packing.py
+const SIGHT = 13; // numbers a measurement, see packing.py
 const RADIUS = Math.sqrt(5.991464547107979); // of the 95 % ellipse, in sigmas: chi-square, 2 degrees of freedom
 
 /**
@@ -1029,7 +1029,7 @@ const STYLE = `
 .vx option { color: var(--vx-ink); background: Canvas; }
 .vx input[type=range] { flex: 1; min-width: 80px; margin: 0; accent-color: var(--vx-focus); }
 .vx-bar label.vx-slider { flex: 1 1 180px; max-width: 380px; }
-.vx output { min-width: 11.5em; font-variant-numeric: tabular-nums; }
+.vx-readout { min-width: 11.5em; font-variant-numeric: tabular-nums; }
 .vx select { max-width: 170px; }
 .vx input[type=checkbox] { margin: 0; accent-color: var(--vx-focus); }
 .vx :focus-visible { outline: 2px solid var(--vx-focus); outline-offset: 1px; }
@@ -1055,9 +1055,13 @@ export function pageModel() {
   return { get: (key) => values[key], set: (key, value) => { values[key] = value; }, save_changes() {}, on() {}, off() {} };
 }
 
-/** An element with attributes and children. */
+/**
+ * An element with attributes and children. JupyterLab and Notebook 7 look at keys before the page does, and leave those
+ * alone that go to an element with this mark; it must be on the very element that has the focus.
+ */
 function make(tag, attributes = {}, ...children) {
   const element = document.createElement(tag);
+  element.setAttribute("data-lm-suppress-shortcuts", "true");
   for (const [key, value] of Object.entries(attributes)) {
     if (key in element && key !== "list") element[key] = value;
     else element.setAttribute(key, value);
@@ -1068,7 +1072,8 @@ function make(tag, attributes = {}, ...children) {
 
 /** A select with its label. options: [value, text] pairs. */
 function choice(text, options, value, change) {
-  const select = make("select", { onchange: () => change(select.value) });
+  // Named by itself: the text of the label around it has all the options in it.
+  const select = make("select", { ariaLabel: text, onchange: () => change(select.value) });
   for (const [v, words] of options) select.append(make("option", { value: v, textContent: words }));
   select.value = value;
   return { box: make("label", {}, text, select), select };
@@ -1082,7 +1087,6 @@ function choice(text, options, value, change) {
 function render({ model, el }) {
   const root = make("div", { className: "vx", role: "group" });
   root.setAttribute("aria-label", "filter explorer");
-  root.setAttribute("data-lm-suppress-shortcuts", "true"); // JupyterLab and Notebook 7 then leave the keys to us
   el.append(make("style", { textContent: STYLE }), root);
 
   let history = unpack(model.get("header"), model.get("data")), timer = 0, saving = 0, views = [], shown = {};
@@ -1096,8 +1100,8 @@ function render({ model, el }) {
   const button = (text, name, press) => make("button", { type: "button", textContent: text, title: name, ariaLabel: name,
     onclick: press });
   const play = button("Play", "play (space)", () => toggle());
-  const slider = make("input", { type: "range", min: 0, max: history.n - 1, oninput: () => go(+slider.value) });
-  const readout = make("output", {});
+  const slider = make("input", { type: "range", ariaLabel: history.unit, min: 0, max: history.n - 1, oninput: () => go(+slider.value) });
+  const readout = make("span", { className: "vx-readout" }); // no <output>: a reader would hear it beside the caption
   const caption = make("p", { className: "vx-caption", role: "status" });
   const tip = make("div", { className: "vx-tip" });
   const grid = make("div", { className: "vx-views" });
@@ -1332,10 +1336,12 @@ function render({ model, el }) {
   const recheck = () => { recolour(); draw(); };
   let width = 0;
   const resize = new ResizeObserver(() => {
-    if (root.clientWidth !== width) arrange(); // a caption of more lines changes nothing
+    if (root.clientWidth === width) return; // a caption of more lines changes nothing
     width = root.clientWidth;
+    recolour(); // only now, in the page, is it known what stands behind
+    arrange();
   });
-  const themes = new MutationObserver(recheck);
+  const themes = new MutationObserver(() => { recheck(); setTimeout(recheck, 500); }); // its style sheet may come later
   const scheme = window.matchMedia("(prefers-color-scheme: dark)");
   const fromKernel = () => {
     if (model.get("data") !== onData.last) { onData(); return; }
@@ -1358,7 +1364,8 @@ function render({ model, el }) {
   scheme.addEventListener("change", recheck);
   model.on("change", fromKernel);
   root.explorer = { go, choose, state: () => plain({ i: look.i, label: history.labels[look.i], chosen: look.chosen,
-    show: look.show, caption: caption.textContent, playing: timer > 0, theme: root.dataset.theme, ...shown }) };
+    show: look.show, caption: caption.textContent, playing: timer > 0, theme: root.dataset.theme, colours: look.colours,
+    paper: look.paper, ...shown }) };
   return () => {
     clearInterval(timer);
     clearTimeout(saving);

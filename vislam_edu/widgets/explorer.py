@@ -67,7 +67,8 @@ class Explorer(anywidget.AnyWidget):
     quantity : what is drawn through time at first: "forward error" (the default), "left error", "heading error",
         "NEES of the pose", "NIS / numbers".
 
-    Raises KeyError for an unknown quantity, and ValueError for an empty history, runs of different length, or more than `packing.LIMIT` bytes.
+    Raises KeyError for an unknown quantity, and ValueError for an empty history, runs of different length, or more than
+    `packing.LIMIT` bytes.
 
     Attributes
     ----------
@@ -174,7 +175,7 @@ class Explorer(anywidget.AnyWidget):
     def _repr_mimebundle_(self, **kwargs):
         """The live widget, and the still picture with its alternative text for where no script runs."""
         bundle = super()._repr_mimebundle_(**kwargs)
-        data, metadata = bundle if isinstance(bundle, tuple) else (bundle, {})
+        data, metadata = bundle if isinstance(bundle, tuple) else (bundle or {}, {})
         still, its_metadata = self.still()._repr_mimebundle_()
         return {**data, "image/png": still["image/png"]}, {**metadata, **its_metadata}
 

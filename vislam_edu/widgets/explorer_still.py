@@ -64,7 +64,7 @@ def draw(header: dict[str, Any], data: bytes, i: int, landmark: int, show: int) 
     runs = every if show >= len(every) else [every[show]]
     with style.context():
         figure = Figure(figsize=SIZE, dpi=100, layout="constrained")
-        top, bottom = figure.subfigures(2, 1, height_ratios=(1.5, 1))
+        top, bottom = np.asarray(figure.subfigures(2, 1, height_ratios=(1.5, 1)))
         matrix = [run for run in runs if "sigma" in run]
         for axes, run in zip(top.subplots(1, len(runs) + len(matrix), squeeze=False)[0], runs):
             draw_map(axes, header, data, run, i, landmark, len(runs) > 1)
@@ -146,7 +146,8 @@ def draw_series(axes, header, runs, i, landmark):
     if first["log"]:
         axes.set_yscale("log")
     unit = f" ({first['unit']})" if first["unit"] else ""
-    axes.set_title(f"{first['name'][0].upper()}{first['name'][1:]}{unit}" + (", dashed: ± 3σ" if "error" in first["name"] else ""))
+    band = ", dashed: ± 3σ" if "error" in first["name"] else ""
+    axes.set_title(f"{first['name'][0].upper()}{first['name'][1:]}{unit}{band}")
     axes.set_xlabel(header["axis"])
     if len(runs) > 1:
         axes.legend()

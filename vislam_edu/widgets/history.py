@@ -62,8 +62,8 @@ class Sight:
 class Snapshot:
     """One state of an estimate, everything in world coordinates.
 
-    label : where it stands in the history. caption : what led to it, in words, without the label. time : s, or its number.
-    updated : True for a posterior, False for a prediction.
+    label : where it stands in the history. caption : what led to it, in words, without the label.
+    time : s, or its number. updated : True for a posterior, False for a prediction.
     ids : (n,). landmarks : (n, 3) m. landmark_covariance : (n, 3, 3) m^2, of the positions in the world.
     world_T_imu : (4, 4) or None. pose_covariance : (6, 6) as a right perturbation, or None.
     covariance : (3n+t, 3n+t) in the filter's own coordinates, or None. true_world_T_imu : (4, 4) or None.
@@ -165,7 +165,8 @@ def from_steps(name: str, steps: Iterable[kalman.Step], drive: Drive, error_stat
     series = [*pose_series(snapshots), nis_series]
     if truth is not None and snapshots[0].pose_covariance is not None:
         series.insert(-1, nees_series(steps, drive, error_state))
-    return History(name, colour, "half-step", "time (s)", row_names(snapshots, error_state), tuple(snapshots), tuple(series))
+    return History(name, colour, "half-step", "time (s)", row_names(snapshots, error_state), tuple(snapshots),
+                   tuple(series))
 
 
 def from_beliefs(labels: Sequence[str], beliefs: Sequence[Any], drive: Drive, *, name: str, unit: str,
@@ -327,7 +328,7 @@ def pose_series(snapshots) -> list[Series]:
     sigma = np.sqrt([np.diag(s.pose_covariance) for s in snapshots])
     error = np.array([np.full(6, np.nan) if s.true_world_T_imu is None else
                       se3.log(se3.inverse(s.world_T_imu) @ s.true_world_T_imu) for s in snapshots])
-    return [Series(f"{name} error", unit, scale * error[:, axis], -3 * scale * sigma[:, axis], 3 * scale * sigma[:, axis])
+    return [Series(f"{name} error", unit, scale * error[:, axis], *np.outer([-3, 3], scale * sigma[:, axis]))
             for name, axis, scale, unit in POSE_ERRORS]
 
 
@@ -357,8 +358,8 @@ def describe(before: Snapshot | None, now: Snapshot, estimates_pose: bool) -> st
     words = [_pose_words(before, now)] if now.pose_covariance is not None else []
     if now.updated and now.sight is not None:
         out = now.sight.ids[~now.sight.accepted]
-        words.insert(0, f"{int(now.sight.accepted.sum())} of {len(now.sight.ids)} measurements correct "
-                        f"{'the pose' if not len(now.ids) else 'the map and the pose' if estimates_pose else 'the map'}")
+        what = "the pose" if not len(now.ids) else "the map and the pose" if estimates_pose else "the map"
+        words.insert(0, f"{int(now.sight.accepted.sum())} of {len(now.sight.ids)} measurements correct {what}")
         words += [f"the gate keeps out {listed(out)}"] if len(out) else []
     if before is not None and len(now.ids):
         words.append(_map_words(before, now))
@@ -373,7 +374,7 @@ def _pose_words(before, now) -> str:
     for axis, (name, _, _, unit) in enumerate(POSE_ERRORS):
         scale, unit = (180 / np.pi, "°") if unit == "°" else (100, " cm")
         shown.append(f"{name} " + " → ".join(f"{scale * s[axis]:.2g}" for s in sigmas) + unit)
-    if before is not None and np.allclose(*sigmas, rtol=1e-9):
+    if before is not None and np.allclose(sigmas[0], sigmas[1], rtol=1e-9):
         return "the pose stays as it was"
     moved = "" if before is None else " shrinks," if sigmas[1].prod() < sigmas[0].prod() else " grows,"
     return f"pose σ{moved} " + ", ".join(shown)

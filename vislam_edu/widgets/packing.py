@@ -16,7 +16,6 @@ from .history import History, Snapshot, principal_sigmas
 
 LIMIT = 1_000_000  # bytes of one explorer, header and data
 ONE = 32767  # int16 of a correlation of 1
-SIGHT_COLUMNS = 14  # measured, predicted, projected u v; S uu uv vv; nis; accepted; pull forward, left; unused
 
 
 class Block:
@@ -54,7 +53,8 @@ def pack(histories: list[History], drive, start: int, landmark: int, show: int,
     histories : one or two, of the same length. drive : for the truth. start : the snapshot to begin with.
     landmark : the chosen one, -1 for none. show : which history, or 2 for both side by side. quantity : the series
     that is drawn at first, by default the first one.
-    Raises KeyError for a quantity that is not a series, and ValueError when the lengths differ or the result is larger than `LIMIT`.
+    Raises KeyError for a quantity that is not a series, and ValueError when the lengths differ or the result is larger
+    than `LIMIT`.
     """
     lengths = [len(history.snapshots) for history in histories]
     if len(set(lengths)) > 1:
@@ -78,7 +78,7 @@ def pack(histories: list[History], drive, start: int, landmark: int, show: int,
     size = block.size + len(json.dumps(header))
     if size > LIMIT:
         raise ValueError(f"{size / 1e6:.1f} MB for {lengths[0]} {histories[0].unit}s, an explorer takes "
-                         f"{LIMIT / 1e6:.0f} MB: give fewer steps (a slice of them), or a shorter drive")
+                         f"{LIMIT / 1e6:g} MB: give fewer steps (a slice of them), or a shorter drive")
     return header, block.data
 
 
@@ -119,8 +119,9 @@ def run(block: Block, history: History) -> dict[str, Any]:
                    for s in history.series],
         **sights(block, snapshots), **paths(block, snapshots),
     }
-    if all(s.covariance is not None for s in snapshots):
-        sigma, correlation = zip(*(split(s.covariance) for s in snapshots))
+    matrices = [s.covariance for s in snapshots if s.covariance is not None]
+    if len(matrices) == len(snapshots):
+        sigma, correlation = zip(*map(split, matrices))
         packed |= {"sigma": block.put(np.concatenate(sigma), "f4"),
                    "correlation": block.put(np.concatenate(correlation), "i2")}
     return packed
@@ -177,7 +178,11 @@ def replace_pose(snapshot: Snapshot, other: Snapshot) -> Snapshot:
 
 
 def sights(block: Block, snapshots: tuple[Snapshot, ...]) -> dict[str, Any]:
-    """The measurements: both snapshots of a frame point to the same rows, as [first, end) in `sight`."""
+    """The measurements: both snapshots of a frame point to the same rows, as [first, end) in `sight`.
+
+    A row of `sights` has 13 numbers: u, v measured, predicted and projected; S of uu, uv, vv; NIS; 1 where the gate
+    accepted it; its pull forward and left.
+    """
     rows: list[tuple[int, int]] = []
     ids, numbers, kept = [], [], {}
     end = 0
@@ -192,7 +197,7 @@ def sights(block: Block, snapshots: tuple[Snapshot, ...]) -> dict[str, Any]:
             ids.append(sight.ids)
             numbers.append(np.column_stack([
                 sight.measured, sight.predicted, sight.projected, S[:, 0, 0], S[:, 0, 1], S[:, 1, 1], sight.nis,
-                sight.accepted, sight.pulls, np.zeros(len(sight.ids))]))
+                sight.accepted, sight.pulls]))
         rows.append(kept[id(sight)])
     if not ids:
         return {}
@@ -202,13 +207,15 @@ def sights(block: Block, snapshots: tuple[Snapshot, ...]) -> dict[str, Any]:
 
 def paths(block: Block, snapshots: tuple[Snapshot, ...]) -> dict[str, Any]:
     """Paths that belong to single snapshots: x, y (m) and covariance of x, y (m^2) in the world."""
-    if any(s.path is None for s in snapshots):
+    lines = [s.path for s in snapshots if s.path is not None]
+    spreads = [s.path_covariance for s in snapshots if s.path_covariance is not None]
+    if len(lines) < len(snapshots):
         return {}
-    places = np.concatenate([s.path for s in snapshots])
-    packed = {"path_first": block.put(np.cumsum([0] + [len(s.path) for s in snapshots]), "i4"),
+    places = np.concatenate(lines)
+    packed = {"path_first": block.put(np.cumsum([0] + [len(line) for line in lines]), "i4"),
               "path": block.put(places[:, :2, 3], "f4")}
-    if all(s.path_covariance is not None for s in snapshots):
+    if len(spreads) == len(snapshots):
         R = places[:, :3, :3]
-        P = R @ np.concatenate([s.path_covariance for s in snapshots])[:, :3, :3] @ np.swapaxes(R, -1, -2)
+        P = R @ np.concatenate(spreads)[:, :3, :3] @ np.swapaxes(R, -1, -2)
         packed["path_block"] = block.put(P[:, [0, 0, 1], [0, 1, 1]], "f4")
     return packed

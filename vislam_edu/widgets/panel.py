@@ -7,6 +7,7 @@ so that a test or a cell may say `panel.controls["depth"].value = 7` and look at
 
 import html
 from pathlib import Path
+from typing import Any
 
 import anywidget
 import ipywidgets
@@ -20,19 +21,19 @@ UNSEEN = "position: absolute; width: 1px; height: 1px; overflow: hidden; clip-pa
 class Control(anywidget.AnyWidget):
     """The input for a `Number` or a `Switch`, with its label; `value` may be set from code.
 
-    A number keeps to its range; without `Decades` a whole number when its step is one.
-    Raises TypeError for anything else, and traitlets.TraitError for a value outside the range.
+    A number outside the range becomes the end of the range; it is a whole number where the step is one.
+    Raises TypeError for anything else than a `Number` or a `Switch`.
     """
 
     _esm = Path(__file__).with_name("control.js")
     spec = traitlets.Dict().tag(sync=True)
-    value = traitlets.Union([traitlets.Bool(), traitlets.Float()]).tag(sync=True)
+    value = traitlets.Any().tag(sync=True)
 
     def __init__(self, control: Number | Switch):
         if not isinstance(control, Number | Switch):
             raise TypeError(f"a control is a Number or a Switch, got {control!r}")
         self.control = control
-        spec = {"label": control.label, "kind": "switch"}
+        spec: dict[str, Any] = {"label": control.label, "kind": "switch"}
         if isinstance(control, Number):
             kind = "log" if isinstance(control, Decades) else "number"
             spec |= {"kind": kind, "low": control.low, "high": control.high, "step": control.step}
@@ -43,8 +44,7 @@ class Control(anywidget.AnyWidget):
         value, control = proposal.value, self.control
         if isinstance(control, Switch):
             return bool(value)
-        if not control.low * (1 - 1e-9) <= value <= control.high * (1 + 1e-9):
-            raise traitlets.TraitError(f"{control.label}: {value} is outside [{control.low}, {control.high}]")
+        value = min(max(value, control.low), control.high)
         whole = isinstance(control.step, int) and not isinstance(control, Decades)
         return round(value) if whole else float(value)
 
@@ -102,7 +102,7 @@ class Panel(ipywidgets.VBox):
         """The live widget, and the still picture for where there is no kernel."""
         bundle = super()._repr_mimebundle_(**kwargs)
         data, metadata = self.picture.still(**self.state)._repr_mimebundle_()
-        return {**bundle, "image/png": data["image/png"]}, metadata
+        return {**(bundle or {}), "image/png": data["image/png"]}, metadata
 
 
 def _row(widgets):

@@ -70,4 +70,4 @@ class WhatIf(ipywidgets.VBox):
         """The live widget, and the explorer's still picture for where there is no kernel."""
         bundle = super()._repr_mimebundle_(**kwargs)
         data, metadata = self.explorer.still()._repr_mimebundle_()
-        return {**bundle, "image/png": data["image/png"]}, metadata
+        return {**(bundle or {}), "image/png": data["image/png"]}, metadata

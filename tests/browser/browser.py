@@ -1,0 +1,62 @@
+"""What the tests in a real browser share: which browser, and how to wait."""
+
+import contextlib
+import os
+import shutil
+import socket
+import time
+import urllib.request
+from pathlib import Path
+
+import pytest
+
+playwright_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+expect, sync_playwright = playwright_api.expect, playwright_api.sync_playwright
+
+SCREENSHOTS = Path(__file__).resolve().parents[2] / "screenshots"
+BROWSERS = ("chromium", "chromium-browser", "google-chrome", "chrome", "msedge")
+CHROMIUM = os.environ.get("CHROMIUM") or next(filter(None, map(shutil.which, BROWSERS)), None)
+SECOND = 1000  # ms, the unit of playwright's timeouts
+POLLING = 100  # ms; playwright's default, to look at every frame that is drawn, keeps the processor busy
+STATE = "element => element.explorer.state()"
+NO_CHROMIUM = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium found; set CHROMIUM to its path")
+
+
+def launch(playwright):
+    """Chromium, for which no address but this machine's resolves, so nothing can be fetched unseen."""
+    options = ["--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1"]
+    if getattr(os, "geteuid", lambda: 1)() == 0:
+        options.append("--no-sandbox")  # which root cannot use
+    return playwright.chromium.launch(executable_path=CHROMIUM, args=options)
+
+
+def listen(page, *allowed):
+    """Collect in `page.complaints` what goes wrong behind the scenes. allowed : beginnings of addresses."""
+    page.complaints = []
+    page.on("pageerror", lambda error: page.complaints.append(f"error in the page: {error}"))
+    page.on("console", lambda line: line.type == "error" and page.complaints.append(f"console: {line.text}"))
+    page.on("request", lambda request: request.url.startswith((*allowed, "data:", "blob:"))
+            or page.complaints.append(f"request: {request.url}"))
+
+
+def free_port():
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]
+
+
+def wait_for(address, server, log, seconds=60):
+    """Until a Jupyter server answers; the test fails with its log when it does not."""
+    deadline = time.monotonic() + seconds
+    while time.monotonic() < deadline and server.poll() is None:
+        with contextlib.suppress(OSError), urllib.request.urlopen(f"{address}/api/status", timeout=1):
+            return
+        time.sleep(0.1)
+    pytest.fail(f"Jupyter did not start:\n{log.read_text()}")
+
+
+def wait_until(page, condition, message, seconds=15):
+    deadline = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < deadline, message
+        page.wait_for_timeout(50)

@@ -1,0 +1,383 @@
+"""The explorer in a real browser, in a page without a kernel and in Notebook 7: its numbers read back from the page."""
+
+import importlib.util
+import os
+import subprocess
+import sys
+
+import nbformat
+import numpy as np
+import pytest
+from browser import NO_CHROMIUM, POLLING, SCREENSHOTS, SECOND, STATE, free_port, listen, wait_for, wait_until
+
+from vislam_edu import mapping, odometry, simulate, window_slam
+from vislam_edu.error_state import RightInvariant
+from vislam_edu.noise import Noise
+from vislam_edu.plots import style
+from vislam_edu.widgets import Explorer
+
+pytestmark = NO_CHROMIUM
+NOISE = Noise()
+I = 43  # the half-step that the pages begin with: frame 21 updated
+
+
+@pytest.fixture(scope="module")
+def drive():
+    return simulate.first_steps()
+
+
+@pytest.fixture(scope="module")
+def steps(drive):
+    return list(window_slam.run(drive, NOISE))
+
+
+@pytest.fixture(scope="module")
+def explorers(drive, steps):
+    invariant = list(window_slam.run(drive, NOISE, RightInvariant()))
+    T = drive.true_world_T_imu
+    return {
+        "joint": Explorer(steps, drive, name="joint", start=I),
+        "two": Explorer({"right": steps, "invariant": invariant}, drive, {"invariant": RightInvariant()}, start=I),
+        "mapping": Explorer(mapping.run(drive, NOISE, T), drive, world_T_imu=T, name="mapping", start=I),
+        "odometry": Explorer(odometry.localize(drive, NOISE, drive.true_landmarks), drive, name="odometry", start=I),
+        "pairs": Explorer.from_beliefs(["before", "1 pair fused"], [s.posterior for s in steps[20:22]], drive,
+                                       unit="pair fused", frames=[20, 21]),
+    }
+
+
+@pytest.fixture
+def opened(chromium, explorers, tmp_path):
+    """Function that opens the page of an explorer; afterwards nothing has been complained about or asked for."""
+    pages = []
+
+    def open_page(name, width=1100, height=760, **context):
+        path = explorers[name].save_html(tmp_path / f"{name}.html")
+        page = chromium.new_context(viewport={"width": width, "height": height}, **context).new_page()
+        listen(page, path.as_uri())
+        page.goto(path.as_uri())
+        page.wait_for_function("() => document.querySelector('.vx')?.explorer.state().map.length")
+        pages.append(page)
+        return page
+
+    yield open_page
+    SCREENSHOTS.mkdir(exist_ok=True)
+    for n, page in enumerate(pages):
+        name = os.environ["PYTEST_CURRENT_TEST"].split("::")[1].split(" ")[0].translate({ord("["): "_", ord("]"): None})
+        page.screenshot(path=SCREENSHOTS / f"{name}_{n}.png")
+        page.context.close()
+    assert [page.complaints for page in pages] == [[]] * len(pages)
+
+
+def state(page):
+    return page.locator(".vx").evaluate(STATE)
+
+
+def press(page, *keys):
+    for key in keys:
+        page.keyboard.press(key)
+
+
+def select(page, label, value):
+    page.get_by_label(label, exact=True).select_option(str(value))
+
+
+def click(page, canvas, x, y):
+    page.get_by_role("img", name=canvas).first.click(position={"x": x, "y": y})
+
+
+# --- every view's numbers ---
+
+
+def test_map_shows_the_landmarks_and_ellipses_of_the_belief(opened, steps):
+    shown = state(opened("joint"))["map"][0]
+    belief = steps[21].posterior
+    assert [one["id"] for one in shown["landmarks"]] == belief.ids.tolist()
+    for one, landmark, P in zip(shown["landmarks"], belief.landmarks, belief.landmark_covariance):
+        np.testing.assert_allclose(one["m"], landmark[:2], rtol=1e-5)
+        np.testing.assert_allclose(one["axes"], np.sqrt(np.linalg.eigvalsh(P[:2, :2])[::-1]), rtol=1e-3)
+    np.testing.assert_allclose(shown["pose"][:2], belief.world_T_imu[:2, 3], rtol=1e-5)
+    assert shown["before"] == len(steps[21].prior.ids)  # the faint outlines
+    inset = shown["inset"]
+    np.testing.assert_allclose(inset["sigmas"][2], np.sqrt(belief.pose_covariance[5, 5]), rtol=1e-4)
+    np.testing.assert_allclose(inset["before"][:2], np.sqrt(np.diag(steps[21].prior.pose_covariance)[:2]), rtol=1e-4)
+
+
+@pytest.mark.parametrize("reading", ["correlation", "covariance", "change"])
+def test_matrix_has_three_readings(opened, steps, reading):
+    page = opened("joint")
+    select(page, "matrix", reading)
+    shown = state(page)["matrix"][0]
+    P, ids, before = steps[21].posterior.covariance, steps[21].posterior.ids, steps[21].prior
+    sigma = np.sqrt(np.diag(P))
+    values = np.array(shown["values"], float).reshape(P.shape)  # null becomes NaN
+    scale = np.outer(sigma, sigma)
+    if reading == "correlation":
+        np.testing.assert_allclose(values, P / scale, atol=3e-5)
+    elif reading == "covariance":
+        np.testing.assert_allclose(values / scale, P / scale, atol=3e-5)
+    else:
+        kept = np.concatenate([np.repeat(np.isin(ids, before.ids), 3), np.ones(6, bool)])
+        change = P[np.ix_(kept, kept)] - before.covariance
+        old = np.sqrt(np.diag(before.covariance))
+        np.testing.assert_allclose(values[np.ix_(kept, kept)] / np.outer(old, old), change / np.outer(old, old),
+                                   atol=6e-5)
+        assert np.isnan(values[~kept]).all()
+        assert not kept.all()
+
+
+def test_landmark_through_time_has_its_birth_updates_and_retirement(opened, steps):
+    page = opened("joint")
+    gone = int(steps[10].retired[0])
+    select(page, "landmark", gone)
+    shown = state(page)["landmark"]
+    born = next(k for k, step in enumerate(steps) if gone in step.born)
+    expected = [[2 * born + 1, "born"], [20, "retired"]]
+    expected += [[2 * step.k + 1, "update"] for step in steps
+                 if gone in step.innovation.ids[step.innovation.accepted]]
+    kept = [event for event in shown["events"] if event[1] != "kept out"]
+    assert sorted(kept) == sorted(expected)
+    assert shown["axes"] == [None]
+    select(page, "landmark", 13)
+    row = steps[21].posterior.ids.tolist().index(13)
+    sigmas = np.sqrt(np.linalg.eigvalsh(steps[21].posterior.landmark_covariance[row])[::-1])
+    np.testing.assert_allclose(state(page)["landmark"]["axes"][0], sigmas, rtol=1e-3)
+
+
+def test_time_shows_the_chosen_quantity_of_both_runs(opened, explorers):
+    page = opened("two")
+    for quantity in ("forward error", "heading error", "NEES of the pose"):
+        select(page, "below", quantity)
+        shown = state(page)["time"]
+        for r, history in enumerate(explorers["two"].histories):
+            series = history[quantity]
+            for key in ("values", "low", "high"):
+                assert shown[key][r] == pytest.approx(getattr(series, key)[I], rel=1e-5)
+            assert shown["nis"][r] == pytest.approx(history["NIS / numbers"].values[I], rel=1e-5)
+
+
+def test_image_shows_the_innovation_of_the_chosen_landmark(opened, explorers):
+    shown = state(opened("mapping"))["image"][0]
+    sight = explorers["mapping"].histories[0].snapshots[I].sight
+    assert [one["id"] for one in shown["measured"]] == sight.ids.tolist()
+    np.testing.assert_allclose([one["uv"] for one in shown["measured"]], sight.measured, rtol=1e-5)
+    at = sight.ids.tolist().index(explorers["mapping"].header["landmark"])
+    np.testing.assert_allclose(shown["chosen"]["innovation"], sight.measured[at] - sight.predicted[at], atol=1e-3)
+    np.testing.assert_allclose(shown["chosen"]["S"], sight.covariance[at][[0, 0, 1], [0, 1, 1]], rtol=1e-5)
+    assert shown["chosen"]["nis"] == pytest.approx(sight.nis[at], rel=1e-5)
+
+
+def test_pairs_of_a_loop_closure_step_by_their_labels(opened):
+    page = opened("pairs")
+    assert state(page)["label"] == "1 pair fused"
+    press(page, "Tab", "Home")
+    assert (state(page)["label"], state(page)["i"]) == ("before", 0)
+
+
+# --- what a reader does ---
+
+
+def test_a_click_on_a_dot_frames_its_rows_and_a_click_on_rows_finds_the_dot(opened, steps):
+    page = opened("joint")
+    dot = next(one for one in state(page)["map"][0]["landmarks"] if one["id"] == 8)
+    click(page, "map", dot["x"], dot["y"])
+    shown = state(page)
+    row = steps[21].posterior.ids.tolist().index(8)
+    assert (shown["chosen"], shown["matrix"][0]["framed"], shown["landmark"]["id"]) == (8, row, 8)
+    assert shown["map"][0]["lines"] > 0
+    other = 3 * (row + 2) + 1
+    place = shown["matrix"][0]["place"]
+    click(page, "joint covariance", place["x"] + 5, place["y"] + shown["matrix"][0]["centres"][other])
+    assert state(page)["chosen"] == steps[21].posterior.ids[row + 2]
+
+
+def test_hovering_over_an_entry_names_it(opened, steps):
+    page = opened("joint")
+    matrix = state(page)["matrix"][0]
+    d, centres = matrix["d"], matrix["centres"]
+    position = {"x": matrix["place"]["x"] + centres[d - 1], "y": matrix["place"]["y"] + centres[0]}
+    page.get_by_role("img", name="joint covariance").hover(position=position)
+    P = steps[21].posterior.covariance
+    value = P[0, -1] / np.sqrt(P[0, 0] * P[-1, -1])
+    first = steps[21].posterior.ids[0]
+    assert page.locator(".vx-tip").text_content() == f"landmark {first} x · pose yaw: {value:.2f}"
+
+
+def test_keyboard_moves_from_every_place_and_a_click_on_time_goes_there(opened):
+    page = opened("joint")
+    page.get_by_role("img", name="map").first.focus()
+    press(page, "ArrowRight", "ArrowRight", "ArrowLeft")
+    assert state(page)["i"] == I + 1
+    press(page, "PageDown")
+    assert state(page)["i"] == I - 9
+    press(page, "PageUp", "End")
+    assert state(page)["i"] == 119
+    press(page, "Home", "ArrowLeft")
+    assert state(page)["i"] == 0
+    page.get_by_label("half-step").focus()
+    press(page, "ArrowRight")
+    assert state(page)["i"] == 1
+    area = state(page)["time"]["area"]
+    click(page, "errors through time", area["x"] + area["w"] * 2.1 / 5.9, 40)
+    assert state(page)["i"] == 43
+
+
+def test_play_goes_on_and_pause_stops_at_once(opened):
+    page = opened("joint")
+    select(page, "speed", 20)
+    page.get_by_role("button", name="play (space)").click()
+    wait_until(page, lambda: state(page)["i"] > I + 3, "it did not play")
+    page.get_by_role("button", name="pause (space)").click()
+    stopped = state(page)
+    page.wait_for_timeout(300)
+    assert state(page) == stopped
+    assert not stopped["playing"]
+    page.get_by_role("img", name="map").first.focus()
+    press(page, " ")
+    assert state(page)["playing"]
+    press(page, " ")
+    assert not state(page)["playing"]
+
+
+def test_a_held_key_shows_every_half_step(opened):
+    page = opened("joint")
+    page.evaluate("""() => { const output = document.querySelector('.vx-readout'); window.seen = [];
+        new MutationObserver(() => window.seen.push(document.querySelector('.vx').explorer.state().i))
+            .observe(output, {childList: true}); }""")
+    page.get_by_label("half-step").focus()
+    press(page, "Home", *["ArrowRight"] * 60)
+    assert page.evaluate("() => window.seen") == list(range(61))
+
+
+def test_caption_is_read_out_and_says_what_the_half_step_did(opened, explorers):
+    page = opened("joint")
+    status = page.get_by_role("status")
+    assert status.text_content() == explorers["joint"].caption(I)
+    page.get_by_label("half-step").focus()
+    press(page, "ArrowRight")
+    assert status.text_content() == explorers["joint"].caption(I + 1)
+    assert "predicted" in status.text_content()
+
+
+def test_all_controls_have_names(opened):
+    page = opened("two")
+    names = page.evaluate("""() => [...document.querySelectorAll('.vx button, .vx input, .vx select')].map(
+        e => e.ariaLabel || [...(e.labels || [])].map(l => l.textContent).join('')) """)
+    assert all(names)
+    assert all(page.evaluate("() => [...document.querySelectorAll('.vx canvas')].map(e => e.ariaLabel)"))
+
+
+def test_ellipses_are_enlarged_and_it_zooms_pans_and_follows(opened):
+    page = opened("joint")
+    before = state(page)["map"][0]
+    select(page, "ellipses", 10)
+    assert state(page)["map"][0]["magnify"] == 10
+    page.get_by_role("button", name="zoom in").click()
+    assert state(page)["map"][0]["k"] == pytest.approx(1.5 * before["k"])
+    box = page.get_by_role("img", name="map").first.bounding_box()
+    shown = state(page)["map"][0]["landmarks"][0]
+    page.mouse.move(box["x"] + 20, box["y"] + 200)
+    page.mouse.down()
+    page.mouse.move(box["x"] + 70, box["y"] + 190, steps=4)
+    page.mouse.up()
+    moved = state(page)["map"][0]["landmarks"][0]
+    assert (moved["x"] - shown["x"], moved["y"] - shown["y"]) == (pytest.approx(50, abs=1), pytest.approx(-10, abs=1))
+    page.get_by_label("follow the car").check()
+    page.get_by_role("button", name="show the whole map").click()
+    page.get_by_label("follow the car").uncheck()
+    assert state(page)["map"][0]["k"] == pytest.approx(before["k"])
+
+
+def test_two_runs_stand_side_by_side_and_move_together(opened, explorers):
+    page = opened("two")
+    shown = state(page)
+    assert [len(shown[view]) for view in ("map", "matrix")] == [2, 2]
+    for r in (0, 1):
+        pose = explorers["two"].histories[r].snapshots[I].world_T_imu
+        np.testing.assert_allclose(shown["map"][r]["pose"][:3], pose[:3, 3], rtol=1e-5, atol=1e-6)
+    select(page, "show", 1)
+    assert state(page)["map"] != shown["map"]
+    assert len(state(page)["map"]) == 1
+
+
+# --- screens ---
+
+
+@pytest.mark.parametrize("name", ["joint", "two", "mapping", "odometry"])
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_the_theme_is_that_of_the_page(opened, name, scheme):
+    page = opened(name, color_scheme=scheme)
+    assert state(page)["theme"] == scheme
+    assert state(page)["colours"]["posterior"] == style.both_themes()[scheme]["posterior"]
+    ink = page.evaluate("""() => [...document.querySelectorAll('.vx canvas')].map(canvas => {
+        const d = canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height).data;
+        let light = 0, dark = 0;
+        for (let i = 0; i < d.length; i += 4) {
+            if (d[i + 3] === 255) (d[i] + d[i + 1] + d[i + 2] > 450 ? light++ : dark++);
+        }
+        return light > 300 || dark > 300; })""")
+    assert all(ink)
+
+
+@pytest.mark.parametrize("ratio", [1, 2])
+def test_canvases_are_as_sharp_as_the_screen(opened, ratio):
+    page = opened("joint", device_scale_factor=ratio)
+    sizes = page.evaluate("() => [...document.querySelectorAll('.vx canvas')].map(c => c.width / c.clientWidth)")
+    assert sizes == pytest.approx([ratio] * len(sizes), rel=0.01)
+
+
+@pytest.mark.parametrize("name", ["joint", "two", "mapping"])
+def test_in_a_window_of_800_px_nothing_is_cut_off(opened, name):
+    page = opened(name, width=800)
+    assert page.evaluate("() => document.documentElement.scrollWidth") <= 800
+    boxes = page.evaluate(
+        "() => [...document.querySelectorAll('.vx canvas')].map(c => [c.clientWidth, c.clientHeight])")
+    assert all(width >= 240 and height >= 150 for width, height in boxes)
+
+
+def test_reduced_motion_begins_slowly(opened):
+    assert opened("joint", reduced_motion="reduce").get_by_label("speed").input_value() == "1"
+
+
+# --- Notebook 7 ---
+
+
+@pytest.mark.skipif(importlib.util.find_spec("notebook") is None, reason="Notebook 7 is not installed")
+def test_notebook_7_leaves_the_arrow_keys_to_the_explorer(chromium, tmp_path):
+    cell = nbformat.v4.new_code_cell(
+        "from vislam_edu import recordings, simulate, window_slam\nfrom vislam_edu.noise import Noise\n"
+        "from vislam_edu.widgets import Explorer\ndrive = simulate.first_steps().slice(0, 12)\n"
+        "explorer = Explorer(window_slam.run(drive, Noise()), drive, start=10)\nexplorer")
+    notebook = nbformat.v4.new_notebook(cells=[cell, nbformat.v4.new_markdown_cell("below")], metadata={
+        "kernelspec": {"name": "python3", "display_name": "Python 3", "language": "python"}})
+    nbformat.write(notebook, tmp_path / "a.ipynb")
+    port, log = free_port(), tmp_path / "notebook.log"
+    folders = {f"JUPYTER_{name}_DIR": str(tmp_path / name) for name in ("CONFIG", "DATA", "RUNTIME")}
+    command = [sys.executable, "-m", "notebook", "--no-browser", "--allow-root", "--ip=127.0.0.1", f"--port={port}",
+               "--ServerApp.port_retries=0", f"--ServerApp.root_dir={tmp_path}", "--IdentityProvider.token="]
+    with log.open("w") as out, subprocess.Popen(command, env=os.environ | folders, stdout=out, stderr=out) as server:
+        try:
+            address = f"http://127.0.0.1:{port}"
+            wait_for(address, server, log)
+            page = chromium.new_page(viewport={"width": 1366, "height": 768})
+            listen(page, address)
+            page.goto(f"{address}/notebooks/a.ipynb")
+            page.wait_for_selector(".jp-CodeCell", timeout=60 * SECOND)
+            page.wait_for_timeout(2 * SECOND)
+            page.locator(".jp-CodeCell .cm-content").first.click()
+            page.keyboard.press("Shift+Enter")
+            page.wait_for_selector(".vx canvas", timeout=60 * SECOND)
+            explorer = page.locator(".vx")
+            page.wait_for_function("() => document.querySelector('.vx').explorer.state().map.length", polling=POLLING)
+            explorer.locator("input[type=range]").focus()
+            for _ in range(3):
+                page.keyboard.press("ArrowRight")
+            assert explorer.evaluate(STATE)["i"] == 13
+            explorer.get_by_role("img", name="map").focus()
+            for _ in range(2):
+                page.keyboard.press("ArrowUp")
+            assert explorer.evaluate(STATE)["i"] == 15
+            SCREENSHOTS.mkdir(exist_ok=True)
+            page.screenshot(path=SCREENSHOTS / "notebook_7.png")
+            page.close()
+        finally:
+            server.terminate()
