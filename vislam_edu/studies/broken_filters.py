@@ -143,7 +143,8 @@ def used_twice(prior, ids, pixels, settings):
 class Piece:
     """A mistake: its title, what `window_slam.run` is expressed in its place, and the exercise whose check catches it.
 
-    applied_to : drive -> (drive, keyword arguments of `window_slam.run`). exercise, mistake : names in `exercises`; empty
+    applied_to : drive -> (drive, keyword arguments of `window_slam.run`). exercise, mistake : names in `exercises`;
+    empty
     for the right filter.
     """
 
@@ -206,7 +207,8 @@ class Visit:
 
     title : of the piece. world_T_imu : (T, 4, 4). error : (T,) m, distance from the truth. nis : (T,), mean over
     the measurements of a frame, 4 if the filter is honest, NaN where it predicted none. nees : (T,) of the pose, 6
-    if the filter is honest, infinite where its covariance is not positive definite. used : share of the measurements that passed the
+    if the filter is honest, infinite where its covariance is not positive definite. used : share of the measurements
+    that passed the
     gate. stopped : the frame at which it could not go on, or None.
     """
 
@@ -243,7 +245,8 @@ def visit(piece, drive, noise, world_T_imu, gate=1) -> Visit:
     """Drive a piece. drive : Drive with truth. noise : Noise. world_T_imu : (4, 4), where it believes to start.
 
     There is no gate by default: it would hide a mistake by keeping out the measurements that contradict it.
-    A filter that ends in NaN, or with a covariance that is not positive definite, is stopped there; the visit holds what was before.
+    A filter that ends in NaN, or with a covariance that is not positive definite, is stopped there; the visit holds
+    what was before.
     """
     drive, arguments = piece.applied_to(drive)
     steps, stopped = [], None
