@@ -342,11 +342,10 @@ def test_reduced_motion_begins_slowly(opened):
 
 
 @pytest.mark.skipif(importlib.util.find_spec("notebook") is None, reason="Notebook 7 is not installed")
-def test_notebook_7_leaves_the_arrow_keys_to_the_explorer(chromium, tmp_path):
+def test_notebook_7_leaves_it_the_arrow_keys_and_the_kernel_sends_it_another_run(chromium, tmp_path):
     cell = nbformat.v4.new_code_cell(
-        "from vislam_edu import recordings, simulate, window_slam\nfrom vislam_edu.noise import Noise\n"
-        "from vislam_edu.widgets import Explorer\ndrive = simulate.first_steps().slice(0, 12)\n"
-        "explorer = Explorer(window_slam.run(drive, Noise()), drive, start=10)\nexplorer")
+        "from vislam_edu import simulate\nfrom vislam_edu.noise import Noise\nfrom vislam_edu.widgets import WhatIf\n"
+        "WhatIf(simulate.first_steps().slice(0, 12), Noise(), start=10)")
     notebook = nbformat.v4.new_notebook(cells=[cell, nbformat.v4.new_markdown_cell("below")], metadata={
         "kernelspec": {"name": "python3", "display_name": "Python 3", "language": "python"}})
     nbformat.write(notebook, tmp_path / "a.ipynb")
@@ -372,10 +371,17 @@ def test_notebook_7_leaves_the_arrow_keys_to_the_explorer(chromium, tmp_path):
             for _ in range(3):
                 page.keyboard.press("ArrowRight")
             assert explorer.evaluate(STATE)["i"] == 13
-            explorer.get_by_role("img", name="map").focus()
+            explorer.get_by_role("img", name="map").first.focus()
             for _ in range(2):
                 page.keyboard.press("ArrowUp")
             assert explorer.evaluate(STATE)["i"] == 15
+            before = explorer.evaluate(STATE)["time"]["high"]
+            assert before[0] == before[1]
+            page.get_by_label("V ×").focus()
+            page.keyboard.press("End")
+            wait_until(page, lambda: explorer.evaluate(STATE)["time"]["high"][1] > 1.5 * before[1], "no other run came")
+            after = explorer.evaluate(STATE)
+            assert (after["i"], after["time"]["high"][0]) == (15, before[0])
             SCREENSHOTS.mkdir(exist_ok=True)
             page.screenshot(path=SCREENSHOTS / "notebook_7.png")
             page.close()
