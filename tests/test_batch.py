@@ -10,7 +10,6 @@ from vislam_edu import batch, metrics, recordings, se3, simulate, window_slam
 from vislam_edu.audit import audit
 from vislam_edu.noise import Noise
 from vislam_edu.simulate import faults
-from vislam_edu.stereo import StereoCamera
 from vislam_edu.studies import pipeline
 
 SHARED = Path(__file__).resolve().parents[2] / "shared" / "data"
@@ -174,10 +173,10 @@ def test_without_noise_the_truth_has_no_cost_and_is_found():
 # --- the filter and the batch are one sum -------------------------------------------------------------------
 
 
-def test_the_filters_last_covariance_is_the_batchs_where_both_linearise_alike(monkeypatch):
+@pytest.mark.usefixtures("first_order")
+def test_the_filters_last_covariance_is_the_batchs_where_both_linearise_alike():
     """Without noise both linearise at the truth, so the filter is the batch with everything but the last pose
     marginalised. The filter's second-order mean, which would move its estimate away from the truth, is left out."""
-    monkeypatch.setattr(StereoCamera, "second_order", lambda self, points, explained: np.zeros((len(points), 4)))
     drive = simulate.perfect_street_loop(seed=2, frames=50, visible=12, life=(5, 40), mean_life=20)
     noise = Noise()
     for step in window_slam.run(drive, noise, gate=1, min_disparity=0):  # noqa: B007

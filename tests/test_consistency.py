@@ -94,6 +94,7 @@ def test_with_tiny_noise_both_errors_make_the_same_filter():
     np.testing.assert_allclose(right.landmarks, invariant.landmarks, rtol=0, atol=1e-9)
 
 
+@pytest.mark.usefixtures("first_order")
 def test_where_nothing_is_corrected_both_errors_make_the_same_filter():
     """On a noise-free drive no estimate moves, so all Jacobians are taken at the truth."""
     drive = simulate.perfect_street_loop(seed=1, frames=60, visible=16, loop_length=500)
@@ -152,6 +153,7 @@ def test_seeds_must_be_there_and_differ(seeds):
         consistency.monte_carlo(make_short_drive, {}, seeds)
 
 
+@pytest.mark.usefixtures("first_order")
 def test_the_error_is_seen_from_the_start_and_in_the_world():
     """A start with a wrong heading on a noise-free drive: wrong in the world, right as seen from the start."""
     drive = simulate.perfect_street_loop(seed=1, frames=40, visible=16, loop_length=500)

@@ -189,7 +189,7 @@ BROKEN_NPZ = {
     "features too few": (NPZ | {"features": FEATURES[:, :, :5]}, r"features: shape \(4, 3, 5\)"),
     "features flat": (NPZ | {"features": FEATURES[0]}, r"features: shape \(3, 6\)"),
     "features text": (NPZ | {"features": FEATURES.astype(str)}, "features: holds <U"),
-    "features objects": (NPZ | {"features": FEATURES.astype(object)}, "features: cannot be read"),
+    "features objects": (NPZ | {"features": FEATURES.astype(object)}, "features: holds object of shape"),
     "features partial": (NPZ | {"features": put(FEATURES, (2, 1, 3), -1)}, "features: landmark 1, frame 3"),
     "features gap": (NPZ | {"features": put(FEATURES, np.s_[:, 1, 3], -1)}, "landmark 1 is seen in frame 2"),
     "never seen": (NPZ | {"features": np.full_like(FEATURES, -1)}, "features: the recording is empty"),
@@ -229,7 +229,7 @@ BROKEN_PICKLED = {
     "inverted": (PICKLED | {"extL_T_imu": IMU_T_CAM, "extR_T_imu": se3.inverse(PICKLED["extR_T_imu"])},
                  "extR_T_imu: puts the right camera"),
     "ragged": (PICKLED | {"v_t": [[1, 2], [3]]}, "v_t: "),
-    "not a dictionary": ([1, 2], "its pickle holds a ndarray, expected a dictionary"),
+    "not a dictionary": ([1, 2], "its pickle holds a list, expected a dictionary"),
 }
 
 

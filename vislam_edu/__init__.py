@@ -42,7 +42,7 @@ simulate                room: drives with ground truth
 plots                   room: still pictures
 audit                   room: a recording's sensors compared with each other
 studies                 room: filters over whole drives
-widgets                 room: steppers and panels
+widgets                 room: explorer and panels
 exercises               room: checks of a student's functions
 
 A name is loaded when it is first used, so importing the package costs nothing and changes nothing.

@@ -76,6 +76,8 @@ class Drive:
         if value is None and field.startswith("truth"):
             return
         try:
+            if dtype is int and not np.array_equal(value, np.round(value)):  # NaN too, which a cast would hide
+                raise ValueError("expected whole numbers")
             value = np.array(value, dtype=dtype)
         except (TypeError, ValueError) as error:
             raise DriveError(f"{field}: {error}") from None

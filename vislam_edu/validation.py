@@ -31,6 +31,17 @@ def _check_finite(name: str, value: np.ndarray) -> None:
                          f"expected finite numbers only")
 
 
+LARGEST = {"times": 1e12, "twists": 1e4, "pixels": 1e7, "K": 1e6, "baseline": 1e3, "cam_T_imu": 1e3,
+           "truth_world_T_cam": 1e9, "truth_landmarks": 1e9}  # far beyond any car, camera or clock: s, m/s, px, m
+
+
+def _check_magnitude(name: str, value: np.ndarray | float) -> None:
+    """Absolute values that no car has, and whose products overflow."""
+    largest = np.nanmax(np.abs(value), initial=0.0)
+    if largest > LARGEST[name]:
+        raise DriveError(f"{name}: {largest:.3g}, expected absolute values up to {LARGEST[name]:g}")
+
+
 def check_imu(drive: Drive) -> None:
     """Times, IMU samples and calibration. Raises DriveError."""
     times = drive.times
@@ -50,6 +61,10 @@ def check_imu(drive: Drive) -> None:
         raise DriveError(f"imu_sample: {drive.imu_sample!r}, expected 'k', 'k+1' or 'mean'")
     if not isinstance(drive.camera, StereoCamera):
         raise DriveError(f"camera: {type(drive.camera).__name__}, expected a StereoCamera")
+    for name in ("times", "twists"):
+        _check_magnitude(name, getattr(drive, name))
+    for name in ("K", "baseline", "cam_T_imu"):
+        _check_magnitude(name, getattr(drive.camera, name))
 
 
 def check_observations(drive: Drive) -> None:
@@ -60,6 +75,7 @@ def check_observations(drive: Drive) -> None:
         raise DriveError(f"landmark: shape {landmark.shape}, expected (N,)")
     _check_shape("pixels", drive.pixels, (landmark.size, 4))
     _check_finite("pixels", drive.pixels)
+    _check_magnitude("pixels", drive.pixels)
     if start[0] != 0 or start[-1] != landmark.size or (np.diff(start) < 0).any():
         raise DriveError(f"frame_start: must rise from 0 to the {landmark.size} observations, never falling")
     outside = np.flatnonzero((landmark < 0) | (landmark >= drive.n_landmarks))
@@ -93,6 +109,7 @@ def check_truth(drive: Drive) -> None:
         if not rigid.all():
             bad = np.flatnonzero(known)[~rigid][0]
             raise DriveError(f"truth_world_T_cam: frame {bad} is not a rigid motion")
+        _check_magnitude("truth_world_T_cam", poses)
     if landmarks is not None:
         if poses is None:
             raise DriveError("truth_landmarks: given without truth_world_T_cam, so their world is unknown")
@@ -100,3 +117,4 @@ def check_truth(drive: Drive) -> None:
         if np.isinf(landmarks).any():
             bad = np.argwhere(np.isinf(landmarks))[0, 0]
             raise DriveError(f"truth_landmarks: landmark {bad} is at infinity")
+        _check_magnitude("truth_landmarks", landmarks)

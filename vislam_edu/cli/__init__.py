@@ -5,8 +5,12 @@ needs, is imported when the command runs.
 """
 
 import argparse
+import contextlib
+import io
 import sys
+import traceback
 from importlib import import_module
+from pathlib import Path
 from typing import NoReturn
 
 BAD_INPUT, INTERRUPTED = 2, 130
@@ -49,20 +53,31 @@ def dispatch(argv) -> int:
 
 def main(argv=None) -> int:
     """The command line. Returns the exit status; bad input is one line on stderr, never a traceback."""
-    argv = sys.argv[1:] if argv is None else list(argv)
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")  # a terminal without the letters of a name shows question marks
     try:
-        return dispatch(argv)
+        return dispatch(sys.argv[1:] if argv is None else list(argv))
     except KeyboardInterrupt:
-        print("interrupted; nothing was written", file=sys.stderr)
-        return INTERRUPTED
+        return _stopped("interrupted; nothing was written", INTERRUPTED)
     except OSError as error:
         message = f"{error.filename2 or error.filename or 'output'}: {error.strerror or error}"
-    except ValueError as error:
+    except MemoryError:
+        message = "not enough memory for this; give a smaller recording or fewer landmarks (--every)"
+    except Exception as error:  # the last resort: every kind of bad input should have its own sentence
         from ..drive import DriveError
         from .arguments import OptionError
 
-        if not isinstance(error, DriveError | OptionError):
-            raise
         message = str(error)
-    print("vislam_edu: " + " ".join(message.split()), file=sys.stderr)
-    return BAD_INPUT
+        if not isinstance(error, DriveError | OptionError):
+            at = traceback.extract_tb(error.__traceback__)[-1]
+            message = (f"unforeseen {type(error).__name__} in {Path(at.filename).name}, line {at.lineno}: {error}; "
+                       "please report it with the command that you entered")
+    return _stopped("vislam_edu: " + " ".join(message.split()), BAD_INPUT)
+
+
+def _stopped(message: str, status: int) -> int:
+    """Say why on one line of stderr, where there is one, and return the exit status."""
+    with contextlib.suppress(OSError, ValueError):  # stderr may be closed
+        print(message, file=sys.stderr)
+    return status

@@ -31,13 +31,15 @@ def number(low=-math.inf, high=math.inf, *, low_allowed=True):
     return check
 
 
-def whole(low):
-    """A check for argparse: a whole number of at least low."""
+def whole(low, high=10**9):
+    """A check for argparse: a whole number from low to high."""
 
     def check(text):
         value = int(text)
         if value < low:
             raise argparse.ArgumentTypeError(f"{text} is not a whole number of at least {low}")
+        if value > high:
+            raise argparse.ArgumentTypeError(f"{text[:40]} is more than {high}")
         return value
 
     check.__name__ = "whole number"

@@ -4,7 +4,7 @@ import json
 import sys
 from pathlib import Path
 
-from .arguments import add_recording, read_recording
+from .arguments import OptionError, add_recording, read_recording
 
 
 def add_arguments(parser):
@@ -22,6 +22,8 @@ def run(arguments) -> int:
     from .. import recordings
     from ..audit import audit
 
+    if arguments.figure and arguments.figure.suffix not in (".png", ".pdf", ".svg"):
+        raise OptionError(f"{arguments.figure}: expected a name that ends in .png, .pdf or .svg")
     report = audit(read_recording(arguments))
     print(json.dumps(report.to_dict(), indent=2) if arguments.json else report)
     if arguments.figure:

@@ -11,16 +11,16 @@ from .arguments import OptionError, number, whole
 def add_arguments(parser):
     """The options of `consistency`. parser : argparse.ArgumentParser."""
     noise = Noise()
-    parser.add_argument("--seeds", type=whole(1), default=50, help="number of drives (default: %(default)s)")
+    parser.add_argument("--seeds", type=whole(1, 100_000), default=50, help="number of drives (default: %(default)s)")
     parser.add_argument("--out", type=Path, required=True, help="directory for summary.json and a file "
                         "per drive; a study that was interrupted goes on from there")
-    parser.add_argument("--frames", type=whole(2), default=500, help="frames per drive (default: %(default)s)")
-    parser.add_argument("--sigma-v", type=number(0), default=noise.sigma_v, help="m/s (default: %(default)s)")
-    parser.add_argument("--sigma-omega", type=number(0), default=noise.sigma_omega,
+    parser.add_argument("--frames", type=whole(2, 100_000), default=500, help="frames per drive (default: %(default)s)")
+    parser.add_argument("--sigma-v", type=number(0, 1e3), default=noise.sigma_v, help="m/s (default: %(default)s)")
+    parser.add_argument("--sigma-omega", type=number(0, 1e2), default=noise.sigma_omega,
                         help="rad/s (default: %(default)s)")
-    parser.add_argument("--sigma-px", type=number(0, low_allowed=False), default=noise.sigma_px,
+    parser.add_argument("--sigma-px", type=number(0, 1e3, low_allowed=False), default=noise.sigma_px,
                         help="px (default: %(default)s)")
-    parser.add_argument("--workers", type=int, default=1, help="processes (default: %(default)s)")
+    parser.add_argument("--workers", type=whole(1, 1024), default=1, help="processes (default: %(default)s)")
 
 
 def run(arguments) -> int:

@@ -10,10 +10,10 @@ def add_arguments(parser):
     parser.add_argument("--out", type=Path, required=True, metavar="FILE", help="npz file to write")
     parser.add_argument("--seed", type=whole(0), default=0, metavar="N",
                         help="of everything random (default: 0)")
-    parser.add_argument("--frames", type=whole(2), default=500, metavar="N", help="at 10 Hz (default: 500)")
-    parser.add_argument("--sigma-v", type=number(0), default=0.5, metavar="M/S", help="default: 0.5")
-    parser.add_argument("--sigma-omega", type=number(0), default=0.05, metavar="RAD/S", help="default: 0.05")
-    parser.add_argument("--sigma-px", type=number(0), default=0.7, metavar="PX", help="default: 0.7")
+    parser.add_argument("--frames", type=whole(2, 100_000), default=500, metavar="N", help="at 10 Hz (default: 500)")
+    parser.add_argument("--sigma-v", type=number(0, 1e3), default=0.5, metavar="M/S", help="default: 0.5")
+    parser.add_argument("--sigma-omega", type=number(0, 1e2), default=0.05, metavar="RAD/S", help="default: 0.05")
+    parser.add_argument("--sigma-px", type=number(0, 1e3), default=0.7, metavar="PX", help="default: 0.7")
     parser.add_argument("--gyro-bias", type=number(), nargs=3, default=(0.0, 0.0, 0.0),
                         metavar=("X", "Y", "Z"),
                         help="rad/s, constant (default: none)")

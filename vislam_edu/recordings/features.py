@@ -1,5 +1,6 @@
 """The course's dense array of tracks, (4, M, T), made into a `Drive`, which keeps only what was seen."""
 
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -27,8 +28,44 @@ def drive_from_features(times: np.ndarray, twists: np.ndarray, features: np.ndar
         raise DriveError(f"features: holds {features.dtype}, expected numbers")
     frame, landmark, pixels = _sparse(features)
     return Drive(times=times, twists=twists, camera=camera, landmark=landmark, pixels=pixels,
-               frame_start=np.searchsorted(frame, np.arange(n_frames + 1)),
-               n_landmarks=features.shape[1], **fields)
+                 frame_start=np.searchsorted(frame, np.arange(n_frames + 1)), n_landmarks=features.shape[1], **fields)
+
+
+def drive_from_pieces(times: np.ndarray, twists: np.ndarray, features: tuple[tuple[int, ...], Iterator[np.ndarray]],
+                      camera: StereoCamera, **fields: Any) -> Drive | None:
+    """As `drive_from_features`, from the array's shape and its numbers in C order, a piece at a time.
+
+    None where something is wrong with the array (`drive_from_features` says what).
+    """
+    shape, pieces = features
+    n_frames = np.size(times)
+    if len(shape) != 3 or shape[0] != 4 or shape[2] != n_frames:
+        return None
+    plane = shape[1] * n_frames
+    seen: list[list[np.ndarray]] = [[] for _ in range(4)]  # of each pixel coordinate: where it is a number, and which
+    values: list[list[np.ndarray]] = [[] for _ in range(4)]
+    absent = [np.zeros(plane // 8 + 1, np.uint8) for _ in range(4)]  # bits: where it is NaN
+    start = 0
+    for piece in pieces:
+        while len(piece):
+            row, at = divmod(start, plane)
+            part, piece = piece[:plane - at], piece[plane - at:]
+            nan = np.isnan(part)
+            where = np.flatnonzero(~nan & (part != -1))
+            seen[row].append(at + where)
+            values[row].append(part[where].astype(float))
+            np.bitwise_xor.at(absent[row], (at + np.flatnonzero(nan)) // 8, 1 << ((at + np.flatnonzero(nan)) % 8))
+            start += len(part)
+    index = [np.concatenate([np.empty(0, int), *parts]) for parts in seen]
+    if not all(np.array_equal(index[0], other) for other in index) or any((absent[0] != a).any() for a in absent):
+        return None
+    pixels = np.stack([np.concatenate([np.empty(0), *parts]) for parts in values], axis=-1)
+    if not np.isfinite(pixels).all():
+        return None
+    landmark, frame = np.divmod(index[0], n_frames)
+    order = np.argsort(frame, kind="stable")  # stable: landmarks stay ascending within a frame
+    return Drive(times=times, twists=twists, camera=camera, landmark=landmark[order], pixels=pixels[order],
+                 frame_start=np.searchsorted(frame[order], np.arange(n_frames + 1)), n_landmarks=shape[1], **fields)
 
 
 def _sparse(features: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -1,33 +1,34 @@
 """Files as named arrays, read without running anything that they contain.
 
 Arrays are read with `allow_pickle=False`. The one published layout that is a pickle is read by an unpickler
-that knows numpy arrays and plain containers and nothing else.
+that knows numpy arrays and plain containers and nothing else (`unpickling`).
 """
 
 from __future__ import annotations
 
 import os
-import pickle
+import warnings
 import zipfile
-import zlib
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from math import prod
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
-from numpy._core.multiarray import _reconstruct, scalar
 
 from ..drive import DriveError
+from . import unpickling
 
+LARGEST = 3 << 29  # bytes of all arrays of a file together: dataset 10, the largest of the course, has 1.3e9
+PIECE = 1 << 20  # numbers read at a time
 _READ_HEADER = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
-# numpy moved its core from numpy.core to numpy._core in version 2; files of both exist
-_ADMITTED = {
-    ("numpy", "ndarray"): np.ndarray,
-    ("numpy", "dtype"): np.dtype,
-    ("numpy.core.multiarray", "_reconstruct"): _reconstruct,
-    ("numpy._core.multiarray", "_reconstruct"): _reconstruct,
-    ("numpy.core.multiarray", "scalar"): scalar,
-    ("numpy._core.multiarray", "scalar"): scalar,
-}
+
+
+def shown(text: object, most: int = 200) -> str:
+    """Text from a file as it may be printed: one line, no control characters, at most `most` characters."""
+    line = "".join(c if c.isprintable() else "?" for c in " ".join(str(text).split()))
+    return line if len(line) <= most else line[:most - 3] + "..."
 
 
 class Fields:
@@ -44,7 +45,7 @@ class Fields:
         for name in names:
             if name in self._mapping:
                 return name
-        present = ", ".join(map(str, self._mapping)) or "nothing"
+        present = shown(", ".join(map(str, self._mapping)) or "nothing")
         raise DriveError(f"{' or '.join(names)}: missing; the file has {present}")
 
     def text(self, name):
@@ -62,6 +63,17 @@ class Fields:
             raise DriveError(f"{name}: holds {value.dtype}, expected an array of numbers")
         return value
 
+    def pieces(self, name):
+        """Shape of an array of numbers, and its numbers a piece at a time, the last index running fastest.
+
+        None where it has to be read whole: it is in a pickle, in Fortran order, or holds something else.
+        """
+        if not isinstance(self._mapping, _Members):
+            return None
+        with errors_name_field(name):
+            shape, fortran, dtype, pieces = self._mapping.pieces(self.key(name))
+        return None if fortran or dtype.kind not in "fiu" else (shape, _guarded(name, pieces))
+
     def number(self, name):
         """One number. Raises DriveError for several."""
         value = self.numbers(name)
@@ -70,10 +82,24 @@ class Fields:
         return value.item()
 
     def _read(self, name):
-        try:
+        with errors_name_field(name):
             return self._mapping[name]
-        except (ValueError, EOFError, OSError, MemoryError, zipfile.BadZipFile, zlib.error) as error:
-            raise DriveError(f"{name}: cannot be read ({error})") from None
+
+
+@contextmanager
+def errors_name_field(name):
+    """Puts the field's name in front of every error; whatever a damaged member raises becomes a DriveError."""
+    try:
+        yield
+    except DriveError as error:
+        raise DriveError(f"{name}: {error}") from None
+    except Exception as error:
+        raise DriveError(f"{name}: cannot be read ({error or type(error).__name__})") from None
+
+
+def _guarded(name, pieces):
+    with errors_name_field(name):
+        yield from pieces
 
 
 @contextmanager
@@ -93,50 +119,96 @@ def errors_name(path):
         raise DriveError(f"{path}: cannot be read ({error.strerror or error})") from None
 
 
+def open_regular(path: Path) -> BinaryIO:
+    """The file, open to read bytes. Raises DriveError for a pipe or a device, which could deliver bytes for ever."""
+    if not path.is_file() and path.exists() and not path.is_dir():
+        raise DriveError("is not a regular file")
+    return open(path, "rb")
+
+
 @contextmanager
 def open_fields(path):
     """The fields of an npz, or of a .npy that holds a pickled dictionary."""
-    with open(path, "rb") as file:
-        if file.peek(6)[:6] == b"\x93NUMPY":
+    with open_regular(path) as file:
+        if file.read(6) == b"\x93NUMPY":
+            file.seek(0)
             yield Fields(_pickled_dictionary(file))
             return
         try:
-            npz = np.load(file, allow_pickle=False)
-        except (ValueError, EOFError, zipfile.BadZipFile):
-            raise DriveError("neither an npz nor a npy file, or cut short") from None
-        with npz:
-            yield Fields(npz)
+            archive = zipfile.ZipFile(file)
+        except Exception as error:  # a damaged archive can raise anything
+            raise DriveError(f"neither an npz nor a npy file, or cut short ({type(error).__name__})") from None
+        with archive:
+            yield Fields(_Members(archive))
+
+
+class _Members(Mapping):
+    """The arrays of an npz by key. What a member claims to hold is checked before memory is taken for it."""
+
+    def __init__(self, archive: zipfile.ZipFile) -> None:
+        self.archive = archive
+        self.infos = {info.filename.removesuffix(".npy"): info for info in archive.infolist()}
+        size = sum(info.file_size for info in self.infos.values())
+        if size > LARGEST:
+            raise DriveError(f"its arrays take {size / 2**30:.1f} GB, more than the {LARGEST / 2**30:g} GB that a "
+                             "recording may have")
+
+    def __contains__(self, name: object) -> bool:
+        return name in self.infos
+
+    def __iter__(self):
+        return iter(self.infos)
+
+    def __len__(self) -> int:
+        return len(self.infos)
+
+    def __getitem__(self, name: str) -> np.ndarray:
+        shape, fortran, dtype, pieces = self.pieces(name)
+        array, start = np.empty(prod(shape), dtype), 0
+        for piece in pieces:
+            array[start:start + len(piece)] = piece
+            start += len(piece)
+        return array.reshape(shape, order="F" if fortran else "C")
+
+    def pieces(self, name: str) -> tuple[tuple[int, ...], bool, np.dtype, Iterator[np.ndarray]]:
+        """Shape, whether in Fortran order and dtype of a member, and its numbers piece by piece, as they are stored."""
+        info = self.infos[name]
+        with self.archive.open(info) as member:
+            shape, fortran, dtype = _header(member)
+            start = member.tell()
+        if dtype.kind not in "fiubUS" or not 0 <= prod(shape) * dtype.itemsize <= info.file_size:
+            raise DriveError(f"holds {dtype} of shape {shape} in {info.file_size} bytes, expected an array of numbers")
+        return shape, fortran, dtype, self._read(info, start, dtype, prod(shape))
+
+    def _read(self, info: zipfile.ZipInfo, start: int, dtype: np.dtype, count: int) -> Iterator[np.ndarray]:
+        with self.archive.open(info) as member:
+            member.read(start)
+            while count:
+                raw = member.read(min(count, PIECE) * dtype.itemsize)
+                if not raw or len(raw) % dtype.itemsize:
+                    raise DriveError("is cut short")
+                yield np.frombuffer(raw, dtype)
+                count -= len(raw) // dtype.itemsize
+
+
+def _header(file) -> tuple[tuple[int, ...], bool, np.dtype]:
+    """Shape, whether in Fortran order, and dtype of an npy file, read from its start."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")  # headers of Python 2 warn
+        return _READ_HEADER[np.lib.format.read_magic(file)](file)
 
 
 def _pickled_dictionary(file):
     try:
-        version = np.lib.format.read_magic(file)
-        shape, _, dtype = _READ_HEADER[version](file)
-    except (KeyError, ValueError):
+        shape, _, dtype = _header(file)
+    except Exception:  # a damaged header can raise anything
         raise DriveError("its npy header cannot be read") from None
     if not dtype.hasobject:
         raise DriveError(f"holds an array of {dtype}, shape {shape}; expected a pickled dictionary of arrays")
-    try:
-        value = _ArrayUnpickler(file).load()
-    except DriveError:
-        raise
-    except Exception as error:  # a damaged pickle can raise anything
-        raise DriveError(f"its pickle is damaged or cut short ({type(error).__name__}: {error})") from None
-    value = value.item() if isinstance(value, np.ndarray) and value.size == 1 else value
+    value = unpickling.load(file)
     if not isinstance(value, dict):
         raise DriveError(f"its pickle holds a {type(value).__name__}, expected a dictionary of arrays")
     return value
-
-
-class _ArrayUnpickler(pickle.Unpickler):
-    """Unpickles numpy arrays and plain containers; any other name is refused before it is even imported."""
-
-    def find_class(self, module, name):
-        try:
-            return _ADMITTED[module, name]
-        except KeyError:
-            raise DriveError(f"its pickle asks for {module}.{name}, which could run code; nothing of it was "
-                             f"run, only numpy arrays in plain containers are read") from None
 
 
 @contextmanager

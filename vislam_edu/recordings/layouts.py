@@ -11,9 +11,10 @@ from .. import se3
 from ..drive import Drive, DriveError
 from ..stereo import StereoCamera
 from . import files
-from .features import drive_from_features
+from .features import drive_from_features, drive_from_pieces
 
 _FORMAT = "vislam_edu drive 1"
+_LARGEST_TEXT = 64 << 20  # bytes of a ground truth file: a hundred thousand poses take 25 MB
 _PROJECT = Path(__file__).resolve().parents[2]
 
 
@@ -152,13 +153,27 @@ def _own_drive(fields):
     camera = _camera(fields.numbers("K"), fields.number("baseline"), fields.numbers("cam_T_imu"))
     values = {key: fields.numbers(key) for key in _OWN_ARRAYS}
     values |= {key: fields.numbers(key) for key in _OWN_TRUTH if key in fields}
-    values |= {key: fields.text(key) for key in _OWN_TEXTS}
-    values["n_landmarks"] = int(fields.number("n_landmarks"))
-    return Drive(camera=camera, history=tuple(fields.text("history")), **values)
+    values |= {key: files.shown(fields.text(key)) for key in _OWN_TEXTS}
+    values["n_landmarks"] = _count(fields, "n_landmarks")
+    history = fields.text("history")
+    if not isinstance(history, list) or not all(isinstance(line, str) for line in history):
+        raise DriveError("history: expected a list of sentences")
+    return Drive(camera=camera, history=tuple(map(files.shown, history)), **values)
+
+
+def _count(fields, key):
+    """A whole number of landmarks, at most as many as a drive of the course could have."""
+    value = fields.number(key)
+    if not (0 <= value <= 1e7 and value == int(value)):
+        raise DriveError(f"{key}: {value}, expected a whole number from 0 to 10,000,000")
+    return int(value)
 
 
 def _dense_drive(times, twists, fields, camera, name):
-    drive = drive_from_features(times, twists, fields.numbers("features"), camera, **name)
+    in_pieces = fields.pieces("features")
+    drive = drive_from_pieces(times, twists, in_pieces, camera, **name) if in_pieces else None
+    if drive is None:  # in a layout that has to be read whole, or wrong somewhere: this says where
+        drive = drive_from_features(times, twists, fields.numbers("features"), camera, **name)
     if not drive.landmark.size:
         raise DriveError("features: the recording is empty, no landmark is seen in any frame")
     return drive
@@ -208,7 +223,11 @@ def _camera(K, baseline, cam_T_imu):
 
 def _read_rows(path):
     rows = []
-    for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), start=1):
+    with files.open_regular(path) as file:
+        text = file.read(_LARGEST_TEXT + 1)
+    if len(text) > _LARGEST_TEXT:
+        raise DriveError(f"more than {_LARGEST_TEXT >> 20} MB, expected one row of text a frame")
+    for number, line in enumerate(text.decode("utf-8").splitlines(), start=1):
         if not line.strip() or line.lstrip().startswith("#"):
             continue
         try:
