@@ -27,6 +27,7 @@ from functools import cached_property
 from itertools import accumulate
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.linalg import LinAlgError, cho_solve_banded, cholesky_banded
 from scipy.sparse import bsr_array, csr_array, hstack, vstack
 from scipy.sparse.csgraph import reverse_cuthill_mckee
@@ -432,7 +433,7 @@ class Solution:
     def _factorised(self) -> Factorised:
         return Factorised(NormalEquations(linearise(self.problem, self.estimate)))
 
-    def pose_covariance(self, frames: np.ndarray) -> np.ndarray:
+    def pose_covariance(self, frames: ArrayLike) -> np.ndarray:
         """(n, 6, 6): marginal covariance of the right perturbation of each of the frames (n,)."""
         return self._covariance(6 * np.asarray(frames)[:, None] + np.arange(6))
 

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.stats import chi2
 
-from . import kalman, se3, stereo
+from . import se3
 from .kalman import Step
 
 if TYPE_CHECKING:
@@ -198,19 +198,6 @@ def pose_nees(error_state: ErrorState, true_world_T_imu: np.ndarray, world_T_imu
                     nees(error[..., :3], covariance[..., :3, :3]))
 
 
-def frame_nis(residual: np.ndarray, H: np.ndarray, covariance: np.ndarray, sigma_px: float) -> tuple[float, int]:
-    """NIS of all stereo measurements of a frame together, and its degrees of freedom, three a measurement.
-
-    residual : (m, 4), px. H : (m, 3, d), rows [u_left, v, u_right]. covariance : (d, d) of the prior.
-    Measurements of one frame share the error of the pose, so their single NIS must not be added up. Alone, each has 4
-    degrees of freedom; here the difference of v_left and v_right, which no state can predict, is left out.
-    """
-    V = np.diag(np.tile(sigma_px**2 * stereo.ROW_VARIANCE, len(residual)))
-    rows = H.reshape(3 * len(residual), len(covariance))
-    S = kalman.innovation_covariance(covariance, rows, V)
-    return float(kalman.nis(stereo.reduce_rows(residual).ravel(), S)), 3 * len(residual)
-
-
 def average_nis(steps: Iterable[Step]) -> float:
     """Mean NIS of one stereo measurement over all steps of a filter; 4 if prediction and pixel noise are
     honest.
@@ -229,7 +216,7 @@ def average_nis(steps: Iterable[Step]) -> float:
     return float(values.mean()) if values.size else np.nan
 
 
-def chi2_band(dof: int, runs: int = 1, probability: float = 0.99) -> tuple[float, float]:
+def chi2_band(dof: float, runs: int = 1, probability: float = 0.99) -> tuple[float, float]:
     """(low, high): where the mean of `runs` independent chi-square numbers lies with this probability.
 
     dof : degrees of freedom of one number: 6 for the NEES of a pose, 3 for its rotation or position, 4 for

@@ -74,7 +74,7 @@ def checked(value: ArrayLike, shape: tuple[int, ...], name: str) -> np.ndarray:
 # SO(3)
 # --------------------------------------------------------------------------------------------------
 
-def so3_hat(omega: np.ndarray) -> np.ndarray:
+def so3_hat(omega: ArrayLike) -> np.ndarray:
     """Skew-symmetric matrix: `so3_hat(a) @ b == cross(a, b)`. omega (..., 3); returns (..., 3, 3)."""
     omega = checked(omega, (3,), "omega")
     x, y, z = omega[..., 0], omega[..., 1], omega[..., 2]
@@ -85,13 +85,13 @@ def so3_hat(omega: np.ndarray) -> np.ndarray:
     return matrix
 
 
-def so3_vee(matrix: np.ndarray) -> np.ndarray:
+def so3_vee(matrix: ArrayLike) -> np.ndarray:
     """Inverse of `so3_hat`: the vector of a skew-symmetric matrix (..., 3, 3); returns (..., 3)."""
     matrix = checked(matrix, (3, 3), "matrix")
     return np.stack([matrix[..., 2, 1], matrix[..., 0, 2], matrix[..., 1, 0]], axis=-1)
 
 
-def so3_exp(phi: np.ndarray) -> np.ndarray:
+def so3_exp(phi: ArrayLike) -> np.ndarray:
     """Rotation matrix of a rotation vector: Rodrigues' formula. phi (..., 3), rad; returns (..., 3, 3)."""
     phi = checked(phi, (3,), "phi")
     a, b, *_ = _angle_functions(phi)
@@ -99,7 +99,7 @@ def so3_exp(phi: np.ndarray) -> np.ndarray:
     return np.eye(3) + a * S + b * (S @ S)
 
 
-def so3_log(R: np.ndarray) -> np.ndarray:
+def so3_log(R: ArrayLike) -> np.ndarray:
     """Rotation vector of a rotation matrix, angle in [0, pi]. R (..., 3, 3); returns (..., 3), rad.
 
     Goes through the unit quaternion q = [w, x, y, z]: the trace and the skew part alone lose half of the
@@ -125,7 +125,7 @@ def so3_log(R: np.ndarray) -> np.ndarray:
     return xyz * np.where(turned, 2.0 * np.arctan2(sine, w) / np.where(turned, sine, 1.0), 2.0)
 
 
-def so3_left_jacobian(phi: np.ndarray) -> np.ndarray:
+def so3_left_jacobian(phi: ArrayLike) -> np.ndarray:
     """Left Jacobian: `so3_exp(phi + d) ~ so3_exp(so3_left_jacobian(phi) @ d) @ so3_exp(phi)` for small d.
 
     phi (..., 3), rad; returns (..., 3, 3). Source: Barfoot, section 7.1.5.
@@ -136,7 +136,7 @@ def so3_left_jacobian(phi: np.ndarray) -> np.ndarray:
     return np.eye(3) + b * S + c * (S @ S)
 
 
-def so3_left_jacobian_inverse(phi: np.ndarray) -> np.ndarray:
+def so3_left_jacobian_inverse(phi: ArrayLike) -> np.ndarray:
     """Inverse of `so3_left_jacobian`. phi (..., 3), rad; returns (..., 3, 3).
 
     The inverse does not exist at angles of 2 pi, 4 pi, ... (never met by what `so3_log` returns).
@@ -147,7 +147,7 @@ def so3_left_jacobian_inverse(phi: np.ndarray) -> np.ndarray:
     return np.eye(3) - 0.5 * S + (d / b) * (S @ S)
 
 
-def so3_right_jacobian(phi: np.ndarray) -> np.ndarray:
+def so3_right_jacobian(phi: ArrayLike) -> np.ndarray:
     """Right Jacobian: `so3_exp(phi + d) ~ so3_exp(phi) @ so3_exp(so3_right_jacobian(phi) @ d)` for small d.
 
     phi (..., 3), rad; returns (..., 3, 3).
@@ -155,7 +155,7 @@ def so3_right_jacobian(phi: np.ndarray) -> np.ndarray:
     return so3_left_jacobian(-checked(phi, (3,), "phi"))
 
 
-def so3_right_jacobian_inverse(phi: np.ndarray) -> np.ndarray:
+def so3_right_jacobian_inverse(phi: ArrayLike) -> np.ndarray:
     """Inverse of `so3_right_jacobian`. phi (..., 3), rad; returns (..., 3, 3)."""
     return so3_left_jacobian_inverse(-checked(phi, (3,), "phi"))
 
@@ -174,14 +174,14 @@ def pose(R: ArrayLike, p: ArrayLike) -> np.ndarray:
     return T
 
 
-def inverse(T: np.ndarray) -> np.ndarray:
+def inverse(T: ArrayLike) -> np.ndarray:
     """Inverse pose `[[R^T, -R^T p], [0, 1]]`: `inverse(a_T_b) == b_T_a`. T and the result (..., 4, 4)."""
     T = checked(T, (4, 4), "T")
     Rt = np.swapaxes(T[..., :3, :3], -1, -2)
     return pose(Rt, -np.matvec(Rt, T[..., :3, 3]))
 
 
-def transform(T: np.ndarray, points: np.ndarray) -> np.ndarray:
+def transform(T: ArrayLike, points: ArrayLike) -> np.ndarray:
     """Points in another frame: `transform(a_T_b, points_b) == points_a`.
 
     T (..., 4, 4) and points (..., 3), m; their leading axes broadcast. Returns (..., 3), m.
@@ -190,7 +190,7 @@ def transform(T: np.ndarray, points: np.ndarray) -> np.ndarray:
     return np.matvec(T[..., :3, :3], points) + T[..., :3, 3]
 
 
-def hat(xi: np.ndarray) -> np.ndarray:
+def hat(xi: ArrayLike) -> np.ndarray:
     """Twist as a matrix of the Lie algebra: `[[omega^, v], [0, 0]]`. xi (..., 6); returns (..., 4, 4)."""
     xi = checked(xi, (6,), "xi")
     matrix = np.zeros(xi.shape[:-1] + (4, 4))
@@ -199,13 +199,13 @@ def hat(xi: np.ndarray) -> np.ndarray:
     return matrix
 
 
-def vee(matrix: np.ndarray) -> np.ndarray:
+def vee(matrix: ArrayLike) -> np.ndarray:
     """Inverse of `hat`. matrix (..., 4, 4); returns the twist (..., 6), `[v, omega]`."""
     matrix = checked(matrix, (4, 4), "matrix")
     return np.concatenate([matrix[..., :3, 3], so3_vee(matrix[..., :3, :3])], axis=-1)
 
 
-def curly_hat(xi: np.ndarray) -> np.ndarray:
+def curly_hat(xi: ArrayLike) -> np.ndarray:
     """Adjoint of the Lie algebra: `curly_hat(a) @ b == vee(hat(a) @ hat(b) - hat(b) @ hat(a))`.
 
     `[[omega^, v^], [0, omega^]]`. xi (..., 6); returns (..., 6, 6). Source: report section 3.3.1.
@@ -217,7 +217,7 @@ def curly_hat(xi: np.ndarray) -> np.ndarray:
     return matrix
 
 
-def exp(xi: np.ndarray) -> np.ndarray:
+def exp(xi: ArrayLike) -> np.ndarray:
     """Pose reached by following the constant twist xi for one unit of time.
 
     xi (..., 6), `[v, omega]` times that time: m and rad. Returns (..., 4, 4).
@@ -230,14 +230,14 @@ def exp(xi: np.ndarray) -> np.ndarray:
     return np.eye(4) + X + b * XX + c * (XX @ X)
 
 
-def log(T: np.ndarray) -> np.ndarray:
+def log(T: ArrayLike) -> np.ndarray:
     """Twist whose `exp` is T, rotation angle in [0, pi]. T (..., 4, 4); returns (..., 6), m and rad."""
     T = checked(T, (4, 4), "T")
     phi = so3_log(T[..., :3, :3])
     return np.concatenate([np.matvec(so3_left_jacobian_inverse(phi), T[..., :3, 3]), phi], axis=-1)
 
 
-def adjoint(T: np.ndarray) -> np.ndarray:
+def adjoint(T: ArrayLike) -> np.ndarray:
     """Carries a twist into another frame: `T @ exp(xi) == exp(adjoint(T) @ xi) @ T`.
 
     `[[R, p^ R], [0, R]]`. T (..., 4, 4); returns (..., 6, 6).
@@ -250,7 +250,7 @@ def adjoint(T: np.ndarray) -> np.ndarray:
     return matrix
 
 
-def odot(point: np.ndarray) -> np.ndarray:
+def odot(point: ArrayLike) -> np.ndarray:
     """Circled-dot operator: `hat(xi) @ [point, 1] == odot(point) @ xi` for every twist.
 
     It turns "how does a point move when its frame is perturbed" into a matrix, which is what the pose
@@ -267,7 +267,7 @@ def odot(point: np.ndarray) -> np.ndarray:
     return matrix
 
 
-def left_jacobian(xi: np.ndarray) -> np.ndarray:
+def left_jacobian(xi: ArrayLike) -> np.ndarray:
     """Left Jacobian: `exp(xi + d) ~ exp(left_jacobian(xi) @ d) @ exp(xi)` for small d.
 
     xi (..., 6); returns (..., 6, 6). At zero rotation it is `[[I, v^/2], [0, I]]`, not I.
@@ -282,7 +282,7 @@ def left_jacobian(xi: np.ndarray) -> np.ndarray:
     return one + b * X + c * XX + (d * X + e * XX) @ (XX + t2 * one)
 
 
-def left_jacobian_inverse(xi: np.ndarray) -> np.ndarray:
+def left_jacobian_inverse(xi: ArrayLike) -> np.ndarray:
     """Inverse of `left_jacobian`: `log(exp(d) @ exp(xi)) ~ xi + left_jacobian_inverse(xi) @ d` for small d.
 
     xi (..., 6); returns (..., 6, 6). Does not exist at rotation angles of 2 pi, 4 pi, ...
@@ -296,7 +296,7 @@ def left_jacobian_inverse(xi: np.ndarray) -> np.ndarray:
     return matrix
 
 
-def right_jacobian(xi: np.ndarray) -> np.ndarray:
+def right_jacobian(xi: ArrayLike) -> np.ndarray:
     """Right Jacobian: `exp(xi + d) ~ exp(xi) @ exp(right_jacobian(xi) @ d)` for small d.
 
     xi (..., 6); returns (..., 6, 6).
@@ -304,7 +304,7 @@ def right_jacobian(xi: np.ndarray) -> np.ndarray:
     return left_jacobian(-checked(xi, (6,), "xi"))
 
 
-def right_jacobian_inverse(xi: np.ndarray) -> np.ndarray:
+def right_jacobian_inverse(xi: ArrayLike) -> np.ndarray:
     """Inverse of `right_jacobian`: `log(exp(xi) @ exp(d)) ~ xi + right_jacobian_inverse(xi) @ d` for small d.
 
     xi (..., 6); returns (..., 6, 6).

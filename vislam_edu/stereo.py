@@ -66,7 +66,7 @@ def dpi_dq(q: np.ndarray) -> np.ndarray:
     return derivative
 
 
-def bearing(K: np.ndarray, uv: np.ndarray) -> np.ndarray:
+def bearing(K: ArrayLike, uv: ArrayLike) -> np.ndarray:
     """Bearing `K^-1 [u, v, 1]`: the direction to a pixel, scaled to depth one.
 
     K (3, 3) px; uv (..., 2) px, of one camera. Returns (..., 3), in that camera's frame.
@@ -76,7 +76,7 @@ def bearing(K: np.ndarray, uv: np.ndarray) -> np.ndarray:
     return np.matvec(np.linalg.inv(K), homogeneous)
 
 
-def triangulate_bearings(z1: np.ndarray, z2: np.ndarray, R: np.ndarray, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def triangulate_bearings(z1: ArrayLike, z2: ArrayLike, R: ArrayLike, p: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
     """Point seen along two bearings from two cameras in general position: the report's closed form.
 
     z1, z2 : (..., 3), bearings `K^-1 [u, v, 1]` (third entry 1) in camera 1 and in camera 2.
@@ -157,7 +157,7 @@ class StereoCamera:
 
     # Points to pixels
 
-    def project(self, points_cam: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def project(self, points_cam: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
         """Pixels of points in the camera frame: `K_s pi(q)`.
 
         points_cam (..., 3), m. Returns (pixels, in_front): pixels (..., 4), px, always finite, and in_front
@@ -263,7 +263,7 @@ class StereoCamera:
         return sigma_px**2 * np.linalg.inv(np.swapaxes(H, -1, -2) @ H)
 
 
-def _homogeneous(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _homogeneous(points: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
     """Homogeneous coordinates (..., 4) of points (..., 3), placeholders where not in front, and the mask."""
     points = checked(points, (3,), "points")
     in_front = np.isfinite(points).all(axis=-1) & (points[..., 2] > _MIN_DEPTH)
