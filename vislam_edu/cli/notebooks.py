@@ -6,7 +6,6 @@ What differs from run to run without meaning anything (timestamps, kernel detail
 version of the program that encoded a picture) is removed or numbered: a diff then shows a change of content.
 """
 
-import asyncio
 import base64
 import importlib.util
 import json
@@ -20,6 +19,7 @@ from pathlib import Path
 
 from tqdm import tqdm
 
+from ..exercises import kernel
 from ..recordings.files import replacing
 from .arguments import OptionError
 
@@ -71,7 +71,6 @@ def _read(path):
 
 
 def _execute(notebook, path):
-    from nbclient import NotebookClient
     from nbclient.exceptions import CellExecutionError, CellTimeoutError, DeadKernelError
 
     current = ["before the first cell"]
@@ -79,20 +78,10 @@ def _execute(notebook, path):
     def remember(cell, cell_index):
         current[0] = _name(cell, cell_index)
 
-    # Widget state is collected (nbclient 0.11 hangs on Output widgets otherwise) and dropped by _normalise.
-    client = NotebookClient(
-        notebook,
-        timeout=CELL_TIMEOUT,
-        kernel_name=KERNELSPEC["name"],
-        extra_arguments=["--log-level=ERROR"],      # the kernel's own log; the cells' warnings are outputs
-        record_timing=False,
-        coalesce_streams=True,
-        resources={"metadata": {"path": str(path.resolve().parent)}},
-        on_cell_start=remember,
-    )
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile:
-        try:
-            asyncio.run(client.async_execute(env=_kernel_environment(profile)))
+        try:  # widget state is collected (nbclient 0.11 hangs on Output widgets otherwise) and dropped by _normalise
+            kernel.execute(notebook, path.resolve().parent, _kernel_environment(profile), timeout=CELL_TIMEOUT,
+                           coalesce_streams=True, on_cell_start=remember)
         except CellExecutionError as error:
             details = re.sub(r"\x1b\[[0-9;]*m", "", error.traceback)     # without colours
             raise NotebookError(f"{path}: {current[0]}: {error.ename}: {error.evalue}\n{details}") from error

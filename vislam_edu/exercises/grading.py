@@ -7,7 +7,6 @@ nothing else. And a verdict comes from the same process as the student's code, w
 good is worth reading.
 """
 
-import asyncio
 import json
 import os
 import re
@@ -15,6 +14,7 @@ import tempfile
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from . import kernel
 from .check import VERDICTS
 from .exercise import EXERCISES
 
@@ -94,30 +94,21 @@ def _checked(code) -> dict[str, str]:
 
 def _execute(notebook, folder, limit):
     """Run in place. Returns the problem, if any, and the last verdict on each exercise."""
-    from nbclient import NotebookClient
+    from nbclient.exceptions import DeadKernelError
 
-    client = NotebookClient(notebook, timeout=None, kernel_name="python3", allow_errors=True, record_timing=False,
-                            extra_arguments=["--log-level=ERROR"], shutdown_kernel="immediate",
-                            resources={"metadata": {"path": str(folder)}})
+    problem = ""
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as scratch:
         record = Path(scratch) / "verdicts.jsonl"
         environment = {key: value for key, value in os.environ.items() if key.upper() in _PASSED_ON}
         environment |= {VERDICTS: str(record), "IPYTHONDIR": scratch, "OPENBLAS_NUM_THREADS": "1"}
-        return asyncio.run(_run(client, environment, limit)), _verdicts(record)
-
-
-async def _run(client, environment, limit) -> str:
-    """Run a client's notebook; returns the problem, if any."""
-    from nbclient.exceptions import DeadKernelError
-
-    clock = asyncio.timeout(limit)
-    try:
-        async with clock:
-            await client.async_execute(env=environment)
-    except (TimeoutError, DeadKernelError):  # a kernel that is ended because the time is up counts as dead too
-        return f"stopped after {limit:g} s" if clock.expired() else \
-            "the kernel died (out of memory, or the notebook ended it)"
-    return ""
+        try:
+            kernel.execute(notebook, folder, environment, limit, timeout=None, allow_errors=True,
+                           shutdown_kernel="immediate")
+        except TimeoutError:
+            problem = f"stopped after {limit:g} s"
+        except DeadKernelError:
+            problem = "the kernel died (out of memory, or the notebook ended it)"
+        return problem, _verdicts(record)
 
 
 def _verdicts(record) -> dict[str, Result]:
