@@ -34,6 +34,7 @@ error_state             what an error is
 motion                  the joint belief, and how it moves
 window_slam             the joint filter over the landmarks in view, fast
 consensus               a second gate: measurements that agree with each other
+robust                  weights and slipping landmarks for real tracks
 smoother                the final estimate of every landmark
 recordings              room: files
 simulate                room: drives with ground truth
@@ -65,6 +66,7 @@ if TYPE_CHECKING:
         odometry,
         plots,
         recordings,
+        robust,
         se3,
         simulate,
         smoother,
@@ -83,7 +85,7 @@ __version__ = "0.2.0"
 __all__ = [
     "Drive", "Noise", "RightInvariant", "RightPerturbation", "StereoCamera", "audit", "consensus", "drive", "ekf_slam",
     "error_state", "exercises", "kalman", "load", "mapping", "metrics", "motion", "noise", "odometry", "plots",
-    "recordings", "se3", "simulate", "smoother", "stereo", "studies", "widgets", "window_slam",
+    "recordings", "robust", "se3", "simulate", "smoother", "stereo", "studies", "widgets", "window_slam",
 ]
 
 _DEFINED_IN = {"load": "recordings", "Drive": "drive", "Noise": "noise", "StereoCamera": "stereo",
