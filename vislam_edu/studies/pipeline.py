@@ -95,8 +95,19 @@ class Result:
 
     @property
     def warnings(self) -> list[str]:
-        """What speaks against the joint filter's result, see `Slam.warnings`."""
-        return self.slam.warnings(self.gate)
+        """What speaks against the joint filter's result: its gate, few tracks, or that it claims to know less than the
+        IMU alone would.
+        """
+        found = self.slam.warnings(self.gate)
+        visible = self.drive.visible.mean()
+        if visible < FEW_TRACKS:
+            found.append(f"{visible:.0f} tracks in view on average where a filter of this kind needs {FEW_TRACKS}: "
+                         "dead reckoning may be the better path")
+        ends = [np.sqrt(np.trace(t.covariance[-1, :3, :3])) for t in (self.slam.trajectory, self.dead_reckoning)]
+        if ends[0] > ends[1]:
+            found.append(f"by its own covariance the filter ends uncertain by {ends[0]:.2g} m, dead reckoning by "
+                         f"{ends[1]:.2g} m: the cameras' part does not help here")
+        return found
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,16 +131,15 @@ def no_progress(frames, **_):
     return frames
 
 
+FEW_TRACKS = 10  # in view on average
 TRACK_SIGMA_PX = 1.0  # px. From frame to frame tracks scatter by 0.2 px, but over their life they slip.
 
 
 def noise_of_real_drive(measured) -> Noise:
     """The noise to filter a real drive with: its IMU's as measured, and 1 px for tracks that slip as they age.
 
-    measured : `measured_noise.MeasuredNoise`, or None where nothing could be measured (then the IMU's defaults).
+    measured : `measured_noise.MeasuredNoise`.
     """
-    if measured is None:
-        return Noise(sigma_px=TRACK_SIGMA_PX)
     return replace(measured.noise, sigma_px=TRACK_SIGMA_PX)
 
 
