@@ -5,10 +5,10 @@
     drive = drive.apply(report["copy frames"].cure)     # one cure, or all of them: report.cured()
 
 The checks stand in `track_checks`, `calibration_checks` and `imu_checks`; the cameras' own frame-to-frame motion
-(`visual_odometry`) is the yardstick for the IMU (`imu_timing`, `imu_alignment`). A finding has to pass twice: a drive without the fault would look
-as bad less than once in 10,000 times, and the fault is large enough to matter. Nothing is corrected silently: inside,
-later checks see the drive with earlier cures applied (a flipped axis would hide the bias), outside the drive is what it
-was.
+(`visual_odometry`) is the yardstick for the IMU (`imu_timing`, `imu_alignment`). A finding has to pass twice: a drive
+without the fault would look as bad less than once in 10,000 times, and the fault is large enough to matter. Nothing
+is corrected silently: inside, later checks see the drive with earlier cures applied (a flipped axis would hide the
+bias), outside the drive is what it was.
 """
 
 from ..drive import Drive

@@ -14,6 +14,9 @@ from ..noise import Noise
 from . import cures, imu_alignment, visual_odometry
 
 
+LEAST_PX = 1e-3  # no pixel is perfect, and where there is none nothing was measured
+
+
 @dataclass(frozen=True, eq=False)
 class MeasuredNoise:
     """Standard deviations of the sensors of one recording.
@@ -36,7 +39,7 @@ class MeasuredNoise:
         return Noise(
             sigma_v=float(np.sqrt(np.mean(self.sigma_v**2))),
             sigma_omega=float(np.sqrt(np.mean(self.sigma_omega**2))),
-            sigma_px=max(self.sigma_px_rows, self.sigma_px_flow),
+            sigma_px=max(self.sigma_px_rows, self.sigma_px_flow, LEAST_PX),
         )
 
     def __str__(self):
