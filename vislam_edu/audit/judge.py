@@ -34,9 +34,10 @@ def audit(drive: Drive) -> Report:
     cured = _apply(drive, findings)
     motions = visual_odometry.estimate(cured)
     findings += track_checks.outlier_tracks(cured, motions)
-    halves = calibration_checks.halves_by_place(cured), calibration_checks.halves_at_random(cured)
-    findings += [*calibration_checks.row_saddle(cured), *calibration_checks.split_halves(*halves)]
-    facts = track_checks.facts(drive, cured, motions) | calibration_checks.facts(cured, *halves)
+    agreeing = _apply(drive, findings)
+    halves = calibration_checks.halves_by_place(agreeing), calibration_checks.halves_at_random(agreeing)
+    findings += [*calibration_checks.row_saddle(agreeing), *calibration_checks.split_halves(*halves)]
+    facts = track_checks.facts(drive, cured, motions) | calibration_checks.facts(agreeing, *halves)
     try:
         timing = imu_timing.estimate(cured, motions)
         findings += imu_checks.mistimed(cured, timing)
