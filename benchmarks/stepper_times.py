@@ -11,13 +11,13 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before numpy: the matrices
 import time
 
 import numpy as np
+from vislam_edu.widgets.joint import JointPicture
+from vislam_edu.widgets.localisation import LocalisationPicture
+from vislam_edu.widgets.mapping import MappingPicture
 
 from vislam_edu import mapping, odometry, simulate, window_slam
 from vislam_edu.noise import Noise
 from vislam_edu.widgets import Panel, Stepper
-from vislam_edu.widgets.joint import JointPicture
-from vislam_edu.widgets.localisation import LocalisationPicture
-from vislam_edu.widgets.mapping import MappingPicture
 from vislam_edu.widgets.stereo_depth import StereoDepthPicture
 from vislam_edu.widgets.twist import TwistPicture
 
