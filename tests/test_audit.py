@@ -6,9 +6,10 @@ from functools import cache
 import numpy as np
 import picture_checks
 import pytest
+from scipy import stats
 
 from vislam_edu import recordings, se3, simulate
-from vislam_edu.audit import audit, cures, imu_alignment, track_health, visual_odometry
+from vislam_edu.audit import audit, calibration_checks, cures, imu_alignment, track_health, visual_odometry
 from vislam_edu.cli import main
 from vislam_edu.simulate import faults
 from vislam_edu.stereo import StereoCamera
@@ -164,8 +165,19 @@ def test_reading_in_between():
 
 @pytest.mark.parametrize("scale", [0.93, 1.1, 3.6])
 def test_speed_in_other_units(scale):
-    report = found_and_cured(by([scale] * 3 + [1] * 3, street(11)), "speed scale")
-    assert report["speed scale"].size == pytest.approx(scale, rel=0.02)
+    report = found_and_cured(by([scale] * 3 + [1] * 3, street(11)), "scale conflict")
+    assert report["scale conflict"].size == pytest.approx(scale, rel=0.02)
+
+
+def test_a_scale_that_either_sensor_may_have_wrong_is_reported_and_not_cured():
+    drive = simulate.street_loop(11, frames=400, sigma_v=0.05, sigma_px=0.3)
+    report = audit(by([0.974] * 3 + [1] * 3, drive))
+    assert faults_of(report) == {"scale conflict"}
+    finding = report["scale conflict"]
+    assert finding.cure is None
+    assert "If the IMU is right" in finding.text
+    assert "if the cameras are" in finding.text
+    assert finding.size == pytest.approx(0.974, abs=0.005)
 
 
 @pytest.mark.parametrize("scale", [0.8, 1.25, 57.3])
@@ -233,6 +245,29 @@ def test_pair_that_is_not_rectified():
     drive = street(11)
     report = found_and_cured(drive.replace(pixels=drive.pixels + [0, 0, 0, -1.5]), "row offset")
     assert report["row offset"].size == pytest.approx(1.5, abs=0.05)
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_lens_that_is_not_what_the_calibration_says(seed, sign):
+    """The clean drives above, 20 of them, raise neither alarm."""
+    drive = street(seed, frames=120)
+    report = audit(faults.lens_error(drive, disparity_with_u_2=3.0 * sign, row_saddle=3.0 * sign))
+    assert {"row saddle", "split halves"} <= faults_of(report)
+    error = calibration_checks.saddle(drive)[1]
+    assert report["row saddle"].size == pytest.approx(3.0 * sign, abs=4 * error)
+    assert report["row saddle"].cure is None
+    by_place = calibration_checks.halves_by_place(report.drive)
+    at_random = calibration_checks.halves_at_random(report.drive)
+    assert by_place.p_value < 1e-4 < at_random.p_value
+
+
+def test_halves_of_clean_drives_differ_by_noise_alone():
+    """The squared distance is 6 times F(6, 6 pieces): its mean over 12 drives stays within four standard errors."""
+    halves = [calibration_checks.halves_by_place(street(seed, frames=120)) for seed in range(12)]
+    dof = 6 * halves[0].pieces
+    mean, spread = 6 * stats.f.mean(6, dof), 6 * stats.f.std(6, dof)
+    assert abs(np.mean([half.distance2 for half in halves]) - mean) < 4 * spread / 12**0.5
 
 
 def test_missing_frames():
@@ -335,7 +370,9 @@ def test_03():
     assert report.cured().imu_sample == "k+1"
     assert report.facts["disparities at or below 0 px"] == 621
     assert report.facts["disparities below 1 px"] == 1408
-    assert not audit(report.cured()).findings
+    assert faults_of(audit(report.cured())) <= {"row saddle", "split halves", "scale conflict"}  # no cure for these
+    assert report["row saddle"].size == pytest.approx(-0.75, abs=0.2)
+    assert report["scale conflict"].size == pytest.approx(0.973, abs=0.005)
 
 
 def test_0027():
@@ -347,4 +384,5 @@ def test_0027():
     np.testing.assert_allclose(report.noise.sigma_v, 0.5, rtol=0.2)
     np.testing.assert_allclose(report.noise.sigma_omega, 0.05, rtol=0.2)
     assert report.cured().imu_sample == "k+1"
-    assert not audit(report.cured()).findings
+    assert report["row saddle"].size == pytest.approx(-3.9, abs=0.4)
+    assert faults_of(audit(report.cured())) == {"row saddle"}  # which has no cure

@@ -24,10 +24,10 @@ from vislam_edu.studies import pipeline
 
 SHARED = Path(__file__).resolve().parents[2] / "shared" / "data"
 KEYS = ["frames", "duration_s", "landmarks", "landmarks_used", "measurements", "rejected_share", "filter_s",
-        "real_time_factor"]
+        "real_time_factor", "metre", "end_sigma_m_without_calibration_error"]
 SENTENCES = ["changed", "warnings"]
 TRUTH_KEYS = ["position_rmse_m", "ate_m", "dead_reckoning_position_rmse_m", "dead_reckoning_ate_m",
-              "drift_percent", "drift_deg_per_m"]
+              "drift_percent", "drift_deg_per_m", "nees_pose", "inside_3_sigma"]
 FILES = sorted(["kitti/trajectory.txt", "tum/trajectory.txt", "result.npz", "summary.json",
                 *(f"{name}.png" for name in report_figures.FIGURES)])
 
@@ -403,6 +403,19 @@ def test_audit_cures_what_it_names_and_says_so(tmp_path, capsys):
         assert summary["ate_m"] < results["as it is"][0]["ate_m"] / 4
     assert any("gyro bias" in cure for cure in results["cured"][0]["changed"][len(planted):])
     assert not any("gyro bias" in cure for cure in results["causal"][0]["changed"][len(planted):])
+
+
+@pytest.mark.usefixtures("no_figures")
+def test_calibration_widens_the_covariance_and_leaves_the_path(recording, tmp_path, out):
+    assert cli.main(["run", str(recording), "--out", str(tmp_path / "x"), "--quiet", "--calibration"]) == 0
+    summary = json.loads((tmp_path / "x" / "summary.json").read_text())
+    plain = json.loads((out / "summary.json").read_text())
+    assert summary["nees_pose_with_calibration"] < summary["nees_pose"] == pytest.approx(plain["nees_pose"])
+    assert summary["inside_3_sigma_with_calibration"] >= summary["inside_3_sigma"]
+    assert summary["end_sigma_m_with_calibration_error"] > summary["end_sigma_m_without_calibration_error"]
+    with np.load(tmp_path / "x" / "result.npz") as result:
+        assert (np.linalg.eigvalsh(result["calibration_covariance"]) > -1e-9).all()
+        assert result["calibration_covariance"].shape == result["pose_covariance"].shape
 
 
 def test_audit_prints_or_gives_json(tmp_path, capsys):

@@ -185,3 +185,38 @@ def test_outlier_tracks_need_a_share_and_the_truth(perfect):
     with pytest.raises(ValueError, match="truth"):
         faults.outlier_tracks(perfect.replace(truth_landmarks=None), 0.1)
     np.testing.assert_array_equal(faults.outlier_tracks(perfect, 0.0).pixels, perfect.pixels)
+
+
+def test_lens_errors_are_smooth_shifts_of_the_size_asked_for(perfect):
+    K, pixels = perfect.camera.K, perfect.pixels
+    x, y = ((pixels[:, :2] - K[:2, 2]) / K[[0, 1], [0, 1]]).T
+    right_x = (pixels[:, 2] - K[0, 2]) / K[0, 0]
+    shift = faults.lens_error(perfect, disparity=0.5, row_saddle=2.0).pixels - pixels
+    np.testing.assert_allclose(shift[:, 0] - shift[:, 2], 0.5, atol=1e-9)
+    np.testing.assert_allclose(shift[:, 1] - shift[:, 3], (x + right_x) * y, atol=1e-9)  # half of 2 px in each image
+    shift = faults.lens_error(perfect, focal_length=3.0).pixels - pixels
+    np.testing.assert_allclose(shift[:, :2], 3 * np.stack([x, y], -1), atol=1e-9)
+    with pytest.raises(ValueError, match="knows no fisheye"):
+        faults.lens_error(perfect, fisheye=1.0)
+
+
+def test_a_wrong_baseline_scales_every_depth(perfect):
+    wrong = faults.baseline_error(perfect, 1.01).camera
+    points, wrong_points = (camera.triangulate(perfect.pixels)[0] for camera in (perfect.camera, wrong))
+    np.testing.assert_allclose(wrong_points, 1.01 * points)
+
+
+def test_looming_slip_walks_by_the_zoom(perfect):
+    """The first look is right; one step's slip has the variance asked for, more where the image grows."""
+    slip = faults.looming_slip(perfect, slip_of_zoom=2.0, slip_floor=0.1, seed=1).pixels - perfect.pixels
+    order = np.lexsort((perfect.frame, perfect.landmark))
+    landmark, frame = perfect.landmark[order], perfect.frame[order]
+    first = np.diff(landmark, prepend=-1) != 0
+    assert np.abs(slip[order][first]).max() < 1e-9
+    poses = perfect.truth_world_T_cam[frame]
+    depth = np.einsum("nj,nj->n", poses[:, :3, 2], perfect.truth_landmarks[landmark] - poses[:, :3, 3])
+    sigma2 = 0.1**2 + 2.0**2 * np.abs(np.diff(np.log(depth)))
+    step = np.diff(slip[order], axis=0)[~first[1:]]
+    squared = step[:, [0, 2]] ** 2 / sigma2[~first[1:], None]
+    assert squared.mean() == pytest.approx(1, abs=4 * (2 / squared.size) ** 0.5)
+    np.testing.assert_allclose(step[:, 1], step[:, 3], atol=1e-9)

@@ -87,3 +87,11 @@ def test_noise_of_0027():
     measured = measured_noise.measure(recordings.load(path).replace(imu_sample="k+1"))
     np.testing.assert_allclose(measured.sigma_v, 0.5, rtol=0.2)
     np.testing.assert_allclose(measured.sigma_omega, 0.05, rtol=0.2)
+
+
+@pytest.mark.parametrize(("sigma_v", "sigma_omega"), [(0.5, 0.05), (0.01, 0.006)])
+def test_second_differences_give_the_noise_of_the_imu_without_any_camera(sigma_v, sigma_omega):
+    drive = simulate.street_loop(4, frames=500, sigma_v=sigma_v, sigma_omega=sigma_omega)
+    measured = measured_noise.from_samples(drive).noise
+    assert measured.sigma_omega == pytest.approx(sigma_omega, rel=0.1)
+    assert measured.sigma_v == pytest.approx(sigma_v, rel=0.5 if sigma_v < 0.1 else 0.1)  # a car does brake

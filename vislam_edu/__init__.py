@@ -34,6 +34,7 @@ error_state             what an error is
 motion                  the joint belief, and how it moves
 window_slam             the joint filter over the landmarks in view, fast
 consensus               a second gate: measurements that agree with each other
+robust                  weights and slipping landmarks for real tracks
 smoother                the final estimate of every landmark
 batch                   the whole drive at once: least squares over poses and landmarks
 association             which landmarks are the same place, and closing the loop
@@ -69,6 +70,7 @@ if TYPE_CHECKING:
         odometry,
         plots,
         recordings,
+        robust,
         se3,
         simulate,
         smoother,
@@ -87,7 +89,7 @@ __version__ = "0.2.0"
 __all__ = [
     "Drive", "Noise", "RightInvariant", "RightPerturbation", "StereoCamera", "association", "audit", "batch",
     "consensus", "drive", "ekf_slam", "error_state", "exercises", "kalman", "load", "mapping", "metrics", "motion",
-    "noise", "odometry", "plots", "recordings", "se3", "simulate", "smoother", "stereo", "studies", "widgets",
+    "noise", "odometry", "plots", "recordings", "robust", "se3", "simulate", "smoother", "stereo", "studies", "widgets",
     "window_slam",
 ]
 

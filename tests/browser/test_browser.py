@@ -190,7 +190,7 @@ def explore(page, explorer):
     """Keys move the explorer and not the notebook; the kernel learns where it stands."""
     explorer.scroll_into_view_if_needed()
     before = explorer.evaluate(STATE)
-    forth, back = ("ArrowLeft", "ArrowRight") if before["i"] > 5 else ("ArrowRight", "ArrowLeft")
+    forth, back = ("ArrowLeft", "ArrowRight") if before["i"] >= 3 else ("ArrowRight", "ArrowLeft")
     explorer.locator("input[type=range]").focus()
     cell = page.evaluate("() => window.jupyterapp.shell.currentWidget.content.activeCellIndex")
     for _ in range(3):

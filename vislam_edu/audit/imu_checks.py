@@ -14,13 +14,12 @@ from .imu_alignment import GYRO_BIAS, GYRO_SCALE, LEVER_ARM, ROTATION, SPEED_SCA
 from .report import AXES, Finding
 from .track_checks import SIGNIFICANCE, chance
 
-FITS = 0.01  # the right explanation is turned down this often
-
 # What matters: below, a filter would not notice
 MIN_OFFSET = 0.3  # samples
 MIN_LEVER_ARM = 0.1  # m
 MIN_MISALIGNMENT = np.radians(2.0)
 MIN_SCALE = 0.02  # of the speed; twice that of the gyro
+CAMERAS_SCALE = 0.03  # what the calibration of a stereo pair may be off by; more is a fault of the IMU's speed
 MIN_GYRO_BIAS = 1e-3  # rad/s: 3 degrees of heading a minute
 
 _READINGS = {"k": 0.0, "mean": -0.5, "k+1": -1.0}  # which step k + s sample k is read for
@@ -152,31 +151,49 @@ def lever_arm(drive, alignment):
     text = (f"the turns put the camera at {_list(alignment.camera_in_imu, 2)} +- "
             f"{_list(np.sqrt(np.diag(covariance)), 2)} m in the IMU frame, the extrinsics at {_list(given, 2)} m")
     swap = cures.swap_translation()
-    if p_value(swap(drive).camera) >= FITS:
+    if p_value(swap(drive).camera) >= SIGNIFICANCE:  # no free number: as good as a fitted one until it is refuted
         cure, advice = swap, "replace the translation t of cam_T_imu by -R t"
-        text += "; its translation t is the camera's position in the IMU frame, where the map needs -R t"
+        apart = np.linalg.norm(swap(drive).camera.imu_T_cam[:3, 3] - alignment.camera_in_imu)
+        text += (f"; its translation t is the camera's position in the IMU frame, where the map needs -R t (that is "
+                 f"{apart:.2f} m from the fit, p = {p_value(swap(drive).camera):.1g})")
     else:
         cure = cures.set_lever_arm(given + known)
         advice = f"put the camera at {_list(given + known, 2)} m, as far as the turns tell"
     yield Finding("lever arm", known.tolist(), "m", chance(p), text, cure, advice)
 
 
-def scales(drive, alignment):
-    """A speed or a gyro that measures too much or too little throughout."""
-    for block, what, columns, least, scale in (
-        (SPEED_SCALE, "speed", slice(0, 3), MIN_SCALE, alignment.speed_scale),
-        (GYRO_SCALE, "gyro", slice(3, 6), 2 * MIN_SCALE, alignment.gyro_scale),
-    ):
-        p = alignment.p_value(block, scale - 1)
-        if p < SIGNIFICANCE and abs(scale - 1) > least:
-            factors = np.ones(6)
-            factors[columns] = scale
-            yield Finding(
-                f"{what} scale", scale, "IMU / cameras", chance(p),
-                f"the IMU's {what} is {scale:.3f} times the cameras'",
-                cures.scale_imu(factors, f"{what} divided by {scale:.4f}"),
-                f"divide the {what} by {scale:.3f}, if the baseline is to be trusted more",
-            )  # fmt: skip
+def scale_conflict(drive, alignment):
+    """Whose metre is it? The IMU's speed and the cameras' baseline disagree about the length of the path.
+
+    The recording cannot tell which is wrong. A few per cent may be either, and nothing is changed; more than a stereo
+    pair's calibration is ever off by must be the IMU's unit.
+    """
+    scale, p = alignment.speed_scale, alignment.p_value(SPEED_SCALE, alignment.speed_scale - 1)
+    if p >= SIGNIFICANCE or abs(scale - 1) <= MIN_SCALE:
+        return
+    by_imu = float(np.linalg.norm(drive.step_twists[:, :3].mean(axis=0)) * drive.duration)
+    text = (f"the IMU's speed is {scale:.3f} times the cameras' (+- {alignment.sigma(SPEED_SCALE)[0]:.3f}). If "
+            f"the IMU is right, baseline or focal length are off by {100 * (scale - 1):+.1f} % and the drive is about "
+            f"{by_imu:.0f} m long; if the cameras are, the IMU's speed is wrong by as much and it is "
+            f"{by_imu / scale:.0f} m long")
+    if abs(scale - 1) > CAMERAS_SCALE:
+        factors = np.r_[[scale] * 3, np.ones(3)]
+        cure = cures.scale_imu(factors, f"speed divided by {scale:.4f}")
+        advice = f"divide the speed by {scale:.3f}: no calibration of cameras is that far off"
+    else:
+        cure, advice = None, "choose; `run` takes the IMU's metre, whose noise averages out, and says by how much"
+    yield Finding("scale conflict", scale, "IMU / cameras", chance(p), text, cure, advice)
+
+
+def gyro_scale(drive, alignment):
+    """A gyro that measures too much or too little throughout."""
+    scale, p = alignment.gyro_scale, alignment.p_value(GYRO_SCALE, alignment.gyro_scale - 1)
+    if p < SIGNIFICANCE and abs(scale - 1) > 2 * MIN_SCALE:
+        yield Finding(
+            "gyro scale", scale, "IMU / cameras", chance(p), f"the IMU's gyro is {scale:.3f} times the cameras'",
+            cures.scale_imu(np.r_[np.ones(3), [scale] * 3], f"gyro divided by {scale:.4f}"),
+            f"divide the gyro by {scale:.3f}",
+        )  # fmt: skip
 
 
 def gyro_bias(drive, alignment):

@@ -4,15 +4,24 @@
     print(report)
     drive = drive.apply(report["copy frames"].cure)     # one cure, or all of them: report.cured()
 
-The checks stand in `track_checks` and `imu_checks`; the cameras' own frame-to-frame motion (`visual_odometry`) is the
-yardstick for the IMU (`imu_timing`, `imu_alignment`). A finding has to pass twice: a drive without the fault would look
-as bad less than once in 10,000 times, and the fault is large enough to matter. Nothing is corrected silently: inside,
-later checks see the drive with earlier cures applied (a flipped axis would hide the bias), outside the drive is what it
-was.
+The checks stand in `track_checks`, `calibration_checks` and `imu_checks`; the cameras' own frame-to-frame motion
+(`visual_odometry`) is the yardstick for the IMU (`imu_timing`, `imu_alignment`). A finding has to pass twice: a drive
+without the fault would look as bad less than once in 10,000 times, and the fault is large enough to matter. Nothing
+is corrected silently: inside, later checks see the drive with earlier cures applied (a flipped axis would hide the
+bias), outside the drive is what it was.
 """
 
 from ..drive import Drive
-from . import imu_alignment, imu_checks, imu_timing, measured_noise, track_checks, track_health, visual_odometry
+from . import (
+    calibration_checks,
+    imu_alignment,
+    imu_checks,
+    imu_timing,
+    measured_noise,
+    track_checks,
+    track_health,
+    visual_odometry,
+)
 from .report import Report
 
 
@@ -25,7 +34,10 @@ def audit(drive: Drive) -> Report:
     cured = _apply(drive, findings)
     motions = visual_odometry.estimate(cured)
     findings += track_checks.outlier_tracks(cured, motions)
-    facts = track_checks.facts(drive, cured, motions)
+    agreeing = _apply(drive, findings)
+    halves = calibration_checks.halves_by_place(agreeing), calibration_checks.halves_at_random(agreeing)
+    findings += [*calibration_checks.row_saddle(agreeing), *calibration_checks.split_halves(*halves)]
+    facts = track_checks.facts(drive, cured, motions) | calibration_checks.facts(agreeing, *halves)
     try:
         timing = imu_timing.estimate(cured, motions)
         findings += imu_checks.mistimed(cured, timing)
@@ -34,12 +46,14 @@ def audit(drive: Drive) -> Report:
         alignment = imu_alignment.align(in_time, motions)
     except imu_alignment.TooFewSteps as reason:
         facts["IMU"] = f"not judged: {reason}"
-        timing, signs, alignment, noise = None, None, None, None
+        timing, signs, alignment = None, None, None
+        noise = measured_noise.from_samples(cured)
+        facts["IMU noise by second differences [m/s, rad/s]"] = [noise.noise.sigma_v, noise.noise.sigma_omega]
     else:
         mirrored, alignment = imu_checks.mirrored_axis(in_time, motions, alignment)
         findings += mirrored
-        for check in (imu_checks.turned_axes, imu_checks.misalignment, imu_checks.lever_arm, imu_checks.scales,
-                      imu_checks.gyro_bias):
+        for check in (imu_checks.turned_axes, imu_checks.misalignment, imu_checks.lever_arm,
+                      imu_checks.scale_conflict, imu_checks.gyro_scale, imu_checks.gyro_bias):
             findings += check(_apply(drive, findings), alignment)
         noise = measured_noise.from_alignment(in_time, alignment, motions)
         facts |= imu_checks.facts(timing, alignment)

@@ -63,9 +63,10 @@ class Report:
 
     findings : worst things first to cure, in the order in which the cures must be applied.
     facts : measured numbers by name, whether there is anything wrong with them or not.
-    signs : (6,) correlation of each IMU axis with the cameras by the extrinsics the file has; None like the next two
+    signs : (6,) correlation of each IMU axis with the cameras by the extrinsics the file has; None like the next one
         where the cameras see too little to judge the IMU.
-    alignment : what fits the IMU to the cameras best, cures of timing applied. noise : measured noise.
+    alignment : what fits the IMU to the cameras best, cures of timing applied. noise : measured noise, from second
+        differences of the IMU's samples where there is no alignment.
     timing : which sample fits which step, or None. motions : the cameras' motions.
     copy_steps : (T-1,) bool, steps that end in a copy frame.
     """
@@ -75,7 +76,7 @@ class Report:
     facts: dict
     signs: np.ndarray | None
     alignment: Alignment | None
-    noise: MeasuredNoise | None
+    noise: MeasuredNoise
     timing: Timing | None
     motions: FrameMotions
     copy_steps: np.ndarray
@@ -103,7 +104,7 @@ class Report:
         lines = [f"Audit of {drive.name or 'a drive'}: {drive.n_frames} frames, {drive.duration:.1f} s, "
                  f"{drive.n_landmarks} tracks, {len(drive.landmark)} observations", ""]
         lines += [f"{name}: {_brief(value)}" for name, value in self.facts.items()]
-        if self.alignment is not None and self.noise is not None and self.signs is not None:
+        if self.alignment is not None and self.signs is not None:
             lines += ["", f"{'axis':8}{'correlation with the cameras':>30}{'noise':>12}",
                       f"{'':8}{'by the file':>15}{'at best':>15}{'per sample':>12}"]
             noise = np.concatenate([self.noise.sigma_v, self.noise.sigma_omega])
@@ -134,7 +135,7 @@ class Report:
                 "correlation_by_the_file": dict(zip(AXES, self.signs.tolist())),
                 "correlation_at_best": dict(zip(AXES, alignment.correlation.tolist())),
             },
-            "noise": noise and {
+            "noise": {
                 "sigma_v_m_s": noise.sigma_v.tolist(), "sigma_omega_rad_s": noise.sigma_omega.tolist(),
                 "sigma_px_rows": noise.sigma_px_rows, "sigma_px_flow": noise.sigma_px_flow,
             },

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from .. import metrics, recordings, se3
+from ..error_state import RightPerturbation
 from ..plots import report_figures, style
 from ..plots.graph import draw_batch
 
@@ -23,7 +24,13 @@ def summary(result, smoothed=None) -> dict:
     out by the gate.
     filter_s: seconds the joint filter took. real_time_factor: seconds of driving per second of filtering.
 
-    With ground truth also position_rmse_m (the IMU's position, world = IMU frame at frame 0, no alignment),
+    end_sigma_m_without_calibration_error: m, root of the trace of the last position's covariance; with `--calibration`
+    also with that error. metre: by what the cameras' lengths were multiplied at the end.
+
+    With ground truth also nees_pose and inside_3_sigma, the mean over frames of the pose's NEES (6 is right) and the
+    share of frames in which an axis lies inside 3 sigma, of the axis where it is least; with `--calibration` both again
+    with that error in the covariance. Also position_rmse_m (the IMU's position, world = IMU frame at frame 0, no
+    alignment),
     ate_m (after SE(3) alignment) and KITTI drift, of the left camera as in the benchmark, NaN for drives
     under 100 m; those of dead reckoning carry its name. With a batch estimate its seconds, iterations and the same
     errors, under its name. Last, as lists of sentences, changed (what was done
@@ -39,7 +46,13 @@ def summary(result, smoothed=None) -> dict:
         "rejected_share": slam.rejected_share,
         "filter_s": slam.seconds,
         "real_time_factor": drive.duration / slam.seconds,
+        "metre": slam.metre,
     }
+    plain = slam.trajectory.covariance
+    numbers |= _claims(drive, slam.trajectory.world_T_imu, plain, "without_calibration_error", "")
+    if result.calibration is not None:
+        numbers |= _claims(drive, slam.trajectory.world_T_imu, plain + result.calibration, "with_calibration_error",
+                           "_with_calibration")
     if drive.true_world_T_imu is not None:
         numbers |= _errors(drive, slam.trajectory.world_T_imu, "")
         numbers |= _errors(drive, result.dead_reckoning.world_T_imu, "dead_reckoning_")
@@ -55,11 +68,29 @@ def summary(result, smoothed=None) -> dict:
     return numbers | {"changed": list(drive.history), "warnings": result.warnings}
 
 
-def _errors(drive, world_T_imu, prefix):
+def _truth_beside(drive, world_T_imu):
+    """The true poses (T, 4, 4) in the world of the estimated ones."""
     truth = drive.true_world_T_imu
     first = np.flatnonzero(np.isfinite(truth[:, 0, 0]))[0]
-    if first:  # the truth starts late: it is expressed in the frame of its own first pose
-        truth = world_T_imu[first] @ truth
+    return world_T_imu[first] @ truth if first else truth  # one that starts late is in the frame of its own first pose
+
+
+def _claims(drive, world_T_imu, covariance, label, suffix):
+    """What a covariance (T, 6, 6) of right perturbations claims at the end, and how honest it is if there is truth."""
+    numbers = {f"end_sigma_m_{label}": float(np.sqrt(np.trace(covariance[-1, :3, :3])))}
+    if drive.true_world_T_imu is not None:
+        truth = _truth_beside(drive, world_T_imu)
+        known = np.isfinite(truth[:, 0, 0])
+        nees = metrics.pose_nees(RightPerturbation(), truth[known], world_T_imu[known], covariance[known])
+        error = RightPerturbation().pose_difference(truth[known], world_T_imu[known])
+        inside = np.abs(error) <= 3 * np.sqrt(np.diagonal(covariance[known], axis1=1, axis2=2))
+        numbers |= {f"nees_pose{suffix}": float(nees.pose.mean()),
+                    f"inside_3_sigma{suffix}": float(inside.mean(axis=0).min())}
+    return numbers
+
+
+def _errors(drive, world_T_imu, prefix):
+    truth = _truth_beside(drive, world_T_imu)
     error = metrics.position_errors(truth, world_T_imu)
     world_T_cam = world_T_imu @ drive.camera.imu_T_cam
     return {f"{prefix}position_rmse_m": float(np.sqrt(np.mean(error**2))),
@@ -74,7 +105,7 @@ def _world_T_cam(drive, trajectory):
 
 def table(numbers) -> str:
     """A summary as text, one number a line."""
-    return "\n".join(f"{key:<32}{_short(value)}" for key, value in numbers.items() if not isinstance(value, list))
+    return "\n".join(f"{key:<40}{_short(value)}" for key, value in numbers.items() if not isinstance(value, list))
 
 
 def _short(value):
@@ -91,7 +122,8 @@ def write(result, folder, smoothed=None):
 
     summary.json, null for NaN. kitti/trajectory.txt and tum/trajectory.txt, poses of the left camera in the
     frame of the first one (KITTI's convention). result.npz: poses of the IMU, covariances of right
-    perturbations [position m, rotation rad], and the landmarks (m, world) that the filter used, with ids and
+    perturbations [position m, rotation rad] (pose_covariance: without calibration error; calibration_covariance: that
+    error alone, where it was asked for), and the landmarks (m, world) that the filter used, with ids and
     covariances. fig1_... to fig7_... .png. smoothed : `pipeline.Smoothed` or None; its poses and landmarks are then in
     result.npz too, and fig8_batch.png compares the paths.
     """
@@ -114,6 +146,7 @@ def write(result, folder, smoothed=None):
         landmark_ids=np.flatnonzero(slam.map.seen),
         landmarks=slam.map.landmarks[slam.map.seen],
         landmark_covariance=slam.map.covariance[slam.map.seen],
+        **({} if result.calibration is None else {"calibration_covariance": result.calibration}),
         **({} if smoothed is None else {"batch_world_T_imu": smoothed.solution.estimate.world_T_imu,
                                         "batch_landmarks": smoothed.solution.estimate.landmarks}),
     )

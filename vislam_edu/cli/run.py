@@ -12,9 +12,12 @@ def add_arguments(parser):
     parser.add_argument("--audit", action="store_true",
                         help="audit the recording first, apply the cures found (each is named), and run the filter for "
                              "real drives: right-invariant, twist and gyro bias estimated, the IMU's noise as "
-                             "measured, measurements that must agree with each other")
+                             "measured, robust weights, tracks that slip, lengths by the IMU's speed")
     parser.add_argument("--causal", action="store_true",
                         help="with --audit: leave out the cures that need the whole drive")
+    parser.add_argument("--calibration", action="store_true",
+                        help="run the joint filter again with each lens parameter turned by one standard deviation, in "
+                             "parallel, and add what moves to the covariance of the path")
     parser.add_argument("--batch", action="store_true",
                         help="estimate the whole drive at once as well, by least squares (with --audit: robust, with "
                              "the gyro's bias and the scale of the speed)")
@@ -53,36 +56,39 @@ def noise_from(arguments, base):
 
 
 def prepare(arguments):
-    """The drive to run and the noise and motion model to run it with: as they are, or after an audit."""
-    from .. import motion
+    """The drive to run, the noise to run it with, and options of the joint filter: as they are, or after an audit."""
+    from .. import robust
     from ..noise import Noise
-    from ..studies import pipeline
+    from ..studies import pipeline, scale
 
-    drive = read_recording(arguments)
-    model: type[motion.ImuDriven | motion.TwistAndBias] = motion.ImuDriven
+    drive, options = read_recording(arguments), {}
     base = Noise.from_report() if arguments.report_noise else Noise()
     if arguments.audit:
         from ..audit import audit
 
         report = audit(drive)
-        drive, model = report.cured(needs_future=not arguments.causal), motion.TwistAndBias
+        drive = report.cured(needs_future=not arguments.causal)
+        options = {"motion_model": robust.RealDrive, "process_frame": robust.process_frame,
+                   "metre": scale.of_the_imu}
         if not arguments.report_noise:
             base = pipeline.noise_of_real_drive(report.noise)
         if not arguments.quiet:
             print(report, end="\n\n")
             print("\n".join(["applied:", *(f"    {cure}" for cure in drive.history)] if drive.history else
                             ["nothing to cure"]), end="\n\n")
-    return drive.subsample(arguments.every), noise_from(arguments, base), model
+            print(scale.EXPLAINED, end="\n\n")
+    return drive.subsample(arguments.every), noise_from(arguments, base), options
 
 
 def run(arguments):
     """Run the filters and write their results; returns the exit status."""
     from functools import partial
 
+    import joblib
     from numpy.linalg import LinAlgError
     from tqdm import tqdm
 
-    from .. import batch, consensus, window_slam
+    from .. import batch, window_slam
     from ..drive import DriveError
     from ..error_state import RightInvariant, RightPerturbation
     from ..studies import pipeline
@@ -90,19 +96,19 @@ def run(arguments):
 
     if arguments.causal and not arguments.audit:
         raise OptionError("run: --causal says which cures to apply, so it needs --audit")
-    drive, noise, motion_model = prepare(arguments)
+    drive, noise, options = prepare(arguments)
     invariant = (arguments.error_state or ("invariant" if arguments.audit else "right")) == "invariant"
     method = "invariant" if invariant else "report" if arguments.report_noise else "slam"
-    process_frame = consensus.process_frame if arguments.audit else window_slam.correlated
     if arguments.initialisation == "as-report":
-        process_frame = window_slam.as_report
+        options["process_frame"] = window_slam.as_report
     with outputs.appearing_in(arguments.out) as folder:
         try:
-            result = pipeline.run_pipeline(
-                drive, noise, RightInvariant() if invariant else RightPerturbation(), motion_model=motion_model,
-                method=method, process_frame=process_frame, gate=arguments.gate, min_disparity=arguments.min_disparity,
-                progress=partial(tqdm, unit="frame", disable=arguments.quiet),
-            )
+            with joblib.parallel_config(n_jobs=-1):
+                result = pipeline.run_pipeline(
+                    drive, noise, RightInvariant() if invariant else RightPerturbation(), method=method,
+                    gate=arguments.gate, min_disparity=arguments.min_disparity,
+                    consider_calibration=arguments.calibration,
+                    progress=partial(tqdm, unit="run", disable=arguments.quiet), **options)
         except LinAlgError as error:
             raise DriveError(f"{arguments.recording}: the filter broke down ({error}), a covariance is no "
                              "longer positive definite: give the sensors more noise") from None

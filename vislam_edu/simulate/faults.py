@@ -4,6 +4,8 @@ Each function returns a new `Drive` and says in its `history` what was planted. 
 was.
 """
 
+from dataclasses import replace
+
 import numpy as np
 
 
@@ -54,6 +56,70 @@ def delay_imu(drive, samples=1):
         raise ValueError(f"samples must be in 0..{drive.n_frames - 1}, got {samples}")
     late = np.maximum(np.arange(drive.n_frames) - samples, 0)
     return _planted(drive, f"IMU late by {samples} samples", twists=drive.twists[late])
+
+
+LENS_TERMS = {
+    "disparity": (False, lambda x, y: (1 + 0 * x, 0 * x)),
+    "disparity with u^2": (False, lambda x, y: (x**2, 0 * x)),
+    "disparity with v^2": (False, lambda x, y: (y**2, 0 * x)),
+    "row saddle": (False, lambda x, y: (0 * x, x * y)),
+    "focal length": (True, lambda x, y: (x, y)),
+    "radial": (True, lambda x, y: ((x**2 + y**2) * x, (x**2 + y**2) * y)),
+    "tangential along u": (True, lambda x, y: (3 * x**2 + y**2, 2 * x * y)),
+    "tangential along v": (True, lambda x, y: (2 * x * y, x**2 + 3 * y**2)),
+}
+
+
+def lens_error(drive, **px):
+    """The lenses, or the rectification, are not what the calibration says: smooth shifts of the pixels.
+
+    px : the size of each term of `LENS_TERMS` (blanks and ^ written as _), px at tan = 1, which is one focal length
+    from the image's centre. Terms of disparity and rows concern the left image against the right one (u_left - u_right
+    and v_left - v_right), half of it each; the others move both images.
+    A lens of the left camera that is decentred, or a camera that is yawed, makes a row saddle and bends the disparity
+    with u^2 by the same number of px.
+    Source: Brown, Decentering distortion of lenses, 1966.
+    """
+    pixels, K = drive.pixels.copy(), drive.camera.K
+    for term, (both, field) in LENS_TERMS.items():
+        size = px.pop(term.replace(" ", "_").replace("^", "_"), 0.0)
+        for image, sign in ((slice(0, 2), 0.5), (slice(2, 4), -0.5)):
+            x, y = ((drive.pixels[:, image] - K[:2, 2]) / K[[0, 1], [0, 1]]).T
+            pixels[:, image] += size * (1 if both else sign) * np.stack(field(x, y), axis=-1)
+    if px:
+        raise ValueError(f"lens_error knows no {', '.join(px)}; it knows {', '.join(LENS_TERMS)}")
+    return _planted(drive, "lens error", pixels=pixels)
+
+
+def baseline_error(drive, factor):
+    """The calibration's baseline is `factor` times the true one: everything looks that much larger."""
+    camera = replace(drive.camera, baseline=factor * drive.camera.baseline)
+    return _planted(drive, f"baseline {factor:.4f} times the true one", camera=camera)
+
+
+def looming_slip(drive, slip_of_zoom=2.0, slip_floor=0.1, seed=0):
+    """Tracks creep away from their points, more where the image grows: a random walk of both images together.
+
+    From one frame to the next each coordinate slips by slip_floor^2 + slip_of_zoom^2 |ln(z_before / z_now)| px^2, with
+    the true depths z; u of the two images slips independently, v as one by half of that. Needs ground truth.
+    seed : int or numpy Generator.
+    """
+    if drive.truth_landmarks is None or drive.truth_world_T_cam is None:
+        raise ValueError("slip by zoom needs a drive with truth_world_T_cam and truth_landmarks")
+    rng = np.random.default_rng(seed)
+    order = np.lexsort((drive.frame, drive.landmark))  # track by track
+    landmark, poses = drive.landmark[order], drive.truth_world_T_cam[drive.frame[order]]
+    points = np.einsum("nji,nj->ni", poses[:, :3, :3], drive.truth_landmarks[landmark] - poses[:, :3, 3])
+    z = np.maximum(points[:, 2], 0.1)
+    zoom = np.abs(np.diff(np.log(z), prepend=np.log(z[:1])))
+    begins = np.diff(landmark, prepend=-1) != 0
+    sigma = np.where(begins, 0.0, np.sqrt(slip_floor**2 + slip_of_zoom**2 * zoom))
+    u_left, v, u_right = sigma * rng.standard_normal((3, len(z)))
+    walk = np.cumsum(np.stack([u_left, v / 2**0.5, u_right, v / 2**0.5], axis=-1), axis=0)
+    first = np.maximum.accumulate(np.where(begins, np.arange(len(z)), 0))
+    pixels = drive.pixels.copy()
+    pixels[order] += walk - walk[first]
+    return _planted(drive, f"slip of {slip_of_zoom} px at a zoom by e", pixels=pixels)
 
 
 def copy_frames(drive, frames=None):

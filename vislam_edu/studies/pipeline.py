@@ -9,6 +9,7 @@ listened to as it goes, and of each landmark only its last estimate is kept.
 
 import time
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -18,6 +19,7 @@ from ..error_state import RightPerturbation
 from ..mapping import MapBelief
 from ..noise import Noise
 from ..odometry import Trajectory
+from . import calibration, scale
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,7 +44,7 @@ class Slam:
     the error state of the filter. map : MapBelief, each landmark as it was when it left the state, or at the
     end, its covariance in the world frame (m^2). measurements, rejected : how many were compared with a
     prediction, and how many of them the gate kept out. seconds : what the filter took. method : key of the
-    series' colours and labels.
+    series' colours and labels. metre : by what its lengths have been multiplied at the end, see `scale`.
     """
 
     trajectory: Trajectory
@@ -51,6 +53,7 @@ class Slam:
     rejected: int
     seconds: float
     method: str
+    metre: float = 1.0
 
     @property
     def rejected_share(self) -> float:
@@ -77,7 +80,8 @@ class Result:
 
     initial : MapBelief, each landmark triangulated at first sight from the dead-reckoned pose.
     mapped : the landmark EKF on dead-reckoned poses, initialised as the report does. slam : the joint
-    filter.
+    filter. calibration : (T, 6, 6) of right perturbations, what errors of the calibration add to the covariance of its
+    path (`calibration.covariance`), or None where nobody asked.
     """
 
     drive: Drive
@@ -87,11 +91,23 @@ class Result:
     mapped: Mapped
     slam: Slam
     gate: float = 0.99
+    calibration: np.ndarray | None = None
 
     @property
     def warnings(self) -> list[str]:
-        """What speaks against the joint filter's result, see `Slam.warnings`."""
-        return self.slam.warnings(self.gate)
+        """What speaks against the joint filter's result: its gate, few tracks, or that it claims to know less than the
+        IMU alone would.
+        """
+        found = self.slam.warnings(self.gate)
+        visible = self.drive.visible.mean()
+        if visible < FEW_TRACKS:
+            found.append(f"{visible:.0f} tracks in view on average where a filter of this kind needs {FEW_TRACKS}: "
+                         "dead reckoning may be the better path")
+        ends = [np.sqrt(np.trace(t.covariance[-1, :3, :3])) for t in (self.slam.trajectory, self.dead_reckoning)]
+        if ends[0] > ends[1]:
+            found.append(f"by its own covariance the filter ends uncertain by {ends[0]:.2g} m, dead reckoning by "
+                         f"{ends[1]:.2g} m: the cameras' part does not help here")
+        return found
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,42 +131,57 @@ def no_progress(frames, **_):
     return frames
 
 
+FEW_TRACKS = 10  # in view on average
 TRACK_SIGMA_PX = 1.0  # px. From frame to frame tracks scatter by 0.2 px, but over their life they slip.
 
 
 def noise_of_real_drive(measured) -> Noise:
     """The noise to filter a real drive with: its IMU's as measured, and 1 px for tracks that slip as they age.
 
-    measured : `measured_noise.MeasuredNoise`, or None where nothing could be measured (then the IMU's defaults).
+    measured : `measured_noise.MeasuredNoise`.
     """
-    if measured is None:
-        return Noise(sigma_px=TRACK_SIGMA_PX)
     return replace(measured.noise, sigma_px=TRACK_SIGMA_PX)
 
 
-def run_pipeline(drive, noise, error_state=None, *, motion_model=motion.ImuDriven, method="slam",
-                 process_frame=window_slam.correlated,
-        gate=0.99, min_disparity=1.0, progress=no_progress) -> Result:
+def joint(drive, noise, error_state, *, metre=scale.of_the_cameras, method="slam", progress=no_progress,
+          **options) -> Slam:
+    """The joint filter over a drive, in the metre asked for.
+
+    metre : `scale.of_the_cameras`, as the filter has it, or `scale.of_the_imu`. method : key of `style.COLOURS` that it
+    is drawn with. progress : as for `run_pipeline`. options : further ones of `window_slam.run`.
+    """
+    steps = window_slam.run(drive, noise, error_state, **options)
+    return metre(collect_slam(drive, progress(steps, total=drive.n_frames, desc="SLAM"), error_state, method), drive,
+                 noise)
+
+
+def joint_path(drive, noise, error_state, **options) -> np.ndarray:
+    """(T, 4, 4): the path of `joint`, same arguments; what `calibration.covariance` runs again and again."""
+    return joint(drive, noise, error_state, **options).trajectory.world_T_imu
+
+
+def run_pipeline(drive, noise, error_state=None, *, gate=0.99, min_disparity=1.0, consider_calibration=False,
+                 progress=no_progress, **options) -> Result:
     """All the report's estimates of one drive.
 
-    drive : Drive. noise : Noise, of all of them. error_state, motion_model, process_frame : see `window_slam.run`; the
-    other two filters do not have the choice. method : key of `style.COLOURS` that the joint filter is drawn with.
+    drive : Drive. noise : Noise, of all of them. error_state : of the joint filter, `RightPerturbation()` by default.
     gate : probability that a good measurement passes, in the joint filter. min_disparity : px, below it a
-    landmark waits for a better view. progress : called as `progress(frames, total=, desc=)`, yields what
-    `frames` yields; tqdm fits.
+    landmark waits for a better view. consider_calibration : whether to run the joint filter again with each knob of the
+    calibration turned. progress : called as `progress(frames, total=, desc=)`, yields what `frames` yields; tqdm fits.
+    options : further ones of `joint`, which is the only one of the three filters that has these choices.
     """
     dead_reckoning = odometry.dead_reckon(drive, noise)
     poses = dead_reckoning.world_T_imu
     initial = first_sight(drive, noise, poses, min_disparity)
     steps = mapping.run(drive, noise, poses, mapping.as_report, gate=1, min_disparity=min_disparity)
     mapped = collect_mapping(progress(steps, total=drive.n_frames, desc="mapping"))
-    error_state = error_state or RightPerturbation()
-    steps = window_slam.run(drive, noise, error_state, motion_model=motion_model, process_frame=process_frame,
-                            gate=gate,
-                     min_disparity=min_disparity)
-    steps = progress(steps, total=drive.n_frames, desc="SLAM")
-    joint = collect_slam(drive, steps, error_state, method)
-    return Result(drive, noise, dead_reckoning, initial, mapped, joint, gate)
+    options = {"noise": noise, "error_state": error_state or RightPerturbation(), "gate": gate,
+               "min_disparity": min_disparity, **options}
+    slam = joint(drive, progress=progress, **options)
+    added = None
+    if consider_calibration:
+        added = calibration.covariance(drive, slam.trajectory.world_T_imu, partial(joint_path, **options), progress)
+    return Result(drive, noise, dead_reckoning, initial, mapped, slam, gate, added)
 
 
 def first_sight(drive, noise, world_T_imu, min_disparity=1.0) -> MapBelief:
