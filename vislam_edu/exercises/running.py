@@ -90,6 +90,8 @@ def outcome_of(exercise, function, arguments) -> Outcome:
     given = [copied(argument) for argument in arguments]
     try:
         result = function(*given)
+        if exercise.reading and not (result is None or result is ... or result is NotImplemented):
+            result = exercise.reading(result)
     except NotImplementedError as error:
         raised_in = _their_frames(error)[-1:]
         calls = [frame.name for frame in raised_in if frame.name != getattr(function, "__name__", frame.name)]
@@ -111,6 +113,8 @@ def outcome_of(exercise, function, arguments) -> Outcome:
 
 def copied(argument):
     """An argument that may be written to: arrays are copied, all else (numbers, the camera) cannot change."""
+    if isinstance(argument, tuple):
+        return tuple(map(copied, argument))
     return argument.copy() if isinstance(argument, np.ndarray) else argument
 
 
