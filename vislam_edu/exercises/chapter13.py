@@ -199,8 +199,8 @@ def _(world_T_imu, landmarks, covariance, rows, pixels, camera, noise):
                     retract=lambda T, m, d, e: (T @ se3.exp(e), m))
 
 
-@filter_update.mistake("only the seen landmarks corrected", """The others are correlated with the pose and move too: this
-is what the joint covariance is for.""")
+@filter_update.mistake("only the seen landmarks corrected", """The others are correlated with the pose and move
+too: this is what the joint covariance is for.""")
 def _(world_T_imu, landmarks, covariance, rows, pixels, camera, noise):
     def retract(T, m, d, e):
         moved = m.copy()
@@ -254,8 +254,8 @@ def filter_birth(world_T_imu, landmarks, covariance, pixels, camera, noise):
     return _born(world_T_imu, landmarks, covariance, pixels, camera, noise)
 
 
-@filter_birth.mistake("no correlation with the pose", """The new landmark inherits the error of the pose: its cross terms
-are G P[-6:], not zero.""")
+@filter_birth.mistake("no correlation with the pose", """The new landmark inherits the error of the pose: its cross
+terms are G P[-6:], not zero.""")
 def _(world_T_imu, landmarks, covariance, pixels, camera, noise):
     return _born(world_T_imu, landmarks, covariance, pixels, camera, noise, cross=False)
 
@@ -351,8 +351,8 @@ def _(state, ids, pixels, camera, noise):
     return frame_of(_updated, _born, retire=False)(state, ids, pixels, camera, noise)
 
 
-@filter_frame.mistake("new ones joined before the update", """That is honest as well, as long as each measurement is used
-once, but it is another filter: here the known ones correct the pose first, and new ones join the better pose.""")
+@filter_frame.mistake("new ones joined before the update", """That is honest as well, as long as each measurement is
+used once, but it is another filter: here the known ones correct the pose first, and new ones join the better pose.""")
 def _(state, ids, pixels, camera, noise):
     old = np.isin(ids, state[2])
     retired = only(state, np.isin(state[2], ids))
@@ -390,7 +390,8 @@ def poses_and_covariances(result):
 @exercise(chapter=13, cases=drives, outputs=("poses", "pose covariances"), reading=poses_and_covariances,
           tolerance=1e-6, shows=[ekf_slam.run], hints=[
     "Frame 0 has no prediction: the identity, no landmarks, noise.initial_pose_covariance.",
-    "Frame k is predicted with drive.step_twists[k - 1] and drive.taus[k - 1]; drive.observed(k) gives ids and pixels."])
+    "Frame k is predicted with drive.step_twists[k - 1] and drive.taus[k - 1]; drive.observed(k) gives ids "
+    "and pixels."])
 def filter_run(drive, noise):
     """Your filter over a drive: yields the state (world_T_imu, landmarks, ids, covariance) after each frame.
 

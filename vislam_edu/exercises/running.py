@@ -1,5 +1,6 @@
 """Calling a function that someone else wrote: copies in, arrays out, a time limit, and errors named as theirs."""
 
+import contextlib
 import ctypes
 import linecache
 import re
@@ -56,16 +57,23 @@ def answers(exercise, function, cases, limit=LIMIT) -> tuple[list[Outcome], str]
     outcomes: list[Outcome] = []
 
     def work():
-        try:
-            with np.errstate(all="ignore"):
-                for _, arguments in cases:
-                    outcomes.append(outcome_of(exercise, function, arguments))
-                    if outcomes[-1].blank:
-                        return
-        except _Stop:
-            pass
+        with np.errstate(all="ignore"):
+            for _, arguments in cases:
+                outcomes.append(outcome_of(exercise, function, arguments))
+                if outcomes[-1].blank:
+                    return
 
-    thread = threading.Thread(target=work, daemon=True)
+    ended = within(work, limit)
+    return outcomes[:len(cases)], ended if len(outcomes) < len(cases) else ""
+
+
+def within(work, limit) -> str:
+    """Run `work()` for at most `limit` seconds in a thread of its own; "" if it came to its end, else see `answers`."""
+    def guarded():
+        with contextlib.suppress(_Stop):
+            work()
+
+    thread = threading.Thread(target=guarded, daemon=True)
     with warnings.catch_warnings():  # a warning would show a path that differs from run to run
         warnings.simplefilter("ignore")
         try:
@@ -73,7 +81,7 @@ def answers(exercise, function, cases, limit=LIMIT) -> tuple[list[Outcome], str]
             thread.join(limit)
         finally:  # also when the student interrupts the kernel
             ended = _stop(thread) if thread.is_alive() else ""
-    return outcomes[:len(cases)], ended if len(outcomes) < len(cases) else ""
+    return ended
 
 
 def _stop(thread) -> str:
