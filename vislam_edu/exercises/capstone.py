@@ -118,7 +118,10 @@ def follow(run: Callable, drive: Drive, noise: Noise = NOISE, limit: float = LIM
 
     run : as `filter_run`. A stub gives the problem "not written yet".
     """
-    poses, covariances, accepted, problem = [], [], [], [""]
+    poses: list = []
+    covariances: list = []
+    accepted: list = []
+    problem = [""]
     spent = [0.0]
 
     def timed(drive, noise):
@@ -360,10 +363,10 @@ def _parting(where, mine, package, tolerance) -> Parting | None:
     apart = ~(np.abs(mine - package) <= tolerance * scale)
     if not apart.any():
         return None
-    first = tuple(int(i) for i in np.argwhere(apart)[0])
+    first = [int(i) for i in np.argwhere(apart)[0]]
     if mine.ndim == 3:
         where, mine, package = f"{where} of frame {first[0]}", mine[first[0]], package[first[0]]
-    return Parting(where, np.atleast_2d(mine), np.atleast_2d(package), ((0, 0, *first))[-2:])
+    return Parting(where, np.atleast_2d(mine), np.atleast_2d(package), (first[-2] if len(first) > 1 else 0, first[-1] if first else 0))
 
 
 @style.styled

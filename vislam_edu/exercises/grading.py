@@ -125,7 +125,7 @@ async def _run(client, environment, limit) -> str:
 
 
 def _verdicts(record) -> dict[str, Result]:
-    results = {}
+    results: dict[str, Result] = {}
     if record.exists():
         for line in record.read_text(encoding="utf-8").splitlines():
             try:
