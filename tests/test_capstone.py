@@ -141,7 +141,7 @@ def test_a_filter_that_never_ends_or_grows_is_stopped():
     start = time.monotonic()
     assert "no end" in capstone.follow(endless, drive, limit=0.3).problem
     assert "landmarks" in capstone.follow(growing, drive).problem
-    assert capstone.follow(short, drive).problem == "1 states for 150 frames"
+    assert capstone.follow(short, drive).problem == "1 states for 100 frames"
     assert time.monotonic() - start < 10
 
 

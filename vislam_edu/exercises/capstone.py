@@ -49,14 +49,14 @@ def seed_of(student: int | str, number: int = 0) -> int:
 
 
 def unseen(student: int | str, number: int = 0) -> Drive:
-    """A drive with truth that the student's number gives: 150 frames, about 15 landmarks in view."""
-    drive = simulate.street_loop(seed_of(student, number), frames=150, visible=15, life=(9, 100))
+    """A drive with truth that the student's number gives: 100 frames, about 15 landmarks in view."""
+    drive = simulate.street_loop(seed_of(student, number), frames=100, visible=15, life=(9, 100))
     return drive.replace(name=f"unseen {number + 1}")
 
 
 def drives(student: int | str) -> list[Drive]:
-    """What a filter is judged on: `first_steps`, a part of `street_loop` with every third landmark, two unseen ones."""
-    street = simulate.street_loop_data().slice(0, 150).subsample(3).replace(name="street_loop")
+    """What a filter is judged on: `first_steps`, a part of `street_loop` with every fourth landmark, two unseen ones."""
+    street = simulate.street_loop_data().slice(0, 100).subsample(4).replace(name="street_loop")
     return [simulate.first_steps().replace(name="first_steps"), street, unseen(student, 0), unseen(student, 1)]
 
 
@@ -245,6 +245,8 @@ def judged(run: Callable, drive: Drive, limit: float = LIMIT, error_state: Error
         return _figures(drive, followed.world_T_imu, followed.covariance, share, followed.seconds, error_state)
 
     mine = follow(run, drive, limit=limit)
+    if mine.problem == NOT_WRITTEN:
+        return Judged(drive.name, *4 * [_NOTHING], problem=NOT_WRITTEN)
     dead = odometry.dead_reckon(drive, NOISE)
     return Judged(drive.name, _NOTHING if mine.problem else of(mine, error_state),
                   of(follow(filter_run.reference, drive)), of(follow(package_run, drive)),
@@ -366,7 +368,8 @@ def _parting(where, mine, package, tolerance) -> Parting | None:
     first = [int(i) for i in np.argwhere(apart)[0]]
     if mine.ndim == 3:
         where, mine, package = f"{where} of frame {first[0]}", mine[first[0]], package[first[0]]
-    return Parting(where, np.atleast_2d(mine), np.atleast_2d(package), (first[-2] if len(first) > 1 else 0, first[-1] if first else 0))
+    row, column = [0, 0, *first][-2:]
+    return Parting(where, np.atleast_2d(mine), np.atleast_2d(package), (row, column))
 
 
 @style.styled

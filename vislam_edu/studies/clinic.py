@@ -25,7 +25,7 @@ from .patients import FAULTS, HEALTHY, KINDS, PIECES, SEAMS, Build, Drawn, draw,
 BUDGETS = {1: 11, 2: 8, 3: 12}
 SUSPECTS = {1: 6}  # at level 1 so many pieces are named; otherwise all are
 HINT_PRICE = 2
-FRESH = 3  # seeds on which evidence has to hold again
+FRESH = 6  # seeds on which evidence has to hold again
 SEPARATES_P, SEPARATES_SIGMAS = 0.001, 3.0
 WORSE = 1.5  # times the healthy RMSE that a cured patient may have, beyond the scatter of the healthy ones
 

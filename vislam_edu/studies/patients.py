@@ -1,8 +1,8 @@
 """The clinic's patients: joint filters and recordings with one fault, two, or none, drawn by a key.
 
 `FAULTS` holds every fault with the piece that it sits in and its kind. A `Build` is what a patient is made of: the
-seams of `window_slam.run`, and what happens to the recording. Whoever reads this file can work out which fault a patient has;
-an examination takes a secret key (`python -m vislam_edu clinic`).
+seams of `window_slam.run`, and what happens to the recording. Whoever reads this file can work out which fault a
+patient has; an examination takes a secret key (`python -m vislam_edu clinic`).
 """
 
 import hashlib
@@ -195,6 +195,10 @@ def _row_offset(px):
     return _recording(lambda drive: drive.replace(pixels=drive.pixels + np.array([0, 0, 0, px])))
 
 
+def _late(samples):
+    return _recording(lambda drive: recording_faults.delay_imu(drive, round(samples)))
+
+
 def _bias(size):
     return _recording(lambda drive: recording_faults.add_gyro_bias(drive, [0, 0, size]))
 
@@ -230,7 +234,8 @@ FAULTS: dict[str, Fault] = {
     "order": Fault("correction", "order", _fixed(_state(museum.GroupedOrder)), seen_by=("update",)),
     "gain": Fault("correction", "factor", _gain, (0.4, 1.6), seen_by=("update",)),
     "never": Fault("covariance after the update", "missing", _fixed({
-        "process_frame": window_slam.without_cross_covariance(window_slam.correlated)}), seen_by=("standing still", "update")),
+        "process_frame": window_slam.without_cross_covariance(window_slam.correlated)}),
+        seen_by=("standing still", "update")),
     "cross": Fault("predicted covariance", "missing", _fixed({"motion_model": museum.CrossNotPropagated}),
                    levels=(2, 3), seen_by=("predict",)),
     "F transposed": Fault("predicted covariance", "sign", _fixed(_transition(se3.adjoint)), seen_by=("predict",)),
@@ -261,11 +266,10 @@ FAULTS: dict[str, Fault] = {
                          also=(("noise values", "factor"), ("predicted covariance", "factor")), seen_by=("predict",)),
     "both sigmas": Fault("noise values", "noise", lambda s: _noise(sigma_v=s, sigma_omega=s), (10.0,),
                          also=(("noise values", "factor"), ("predicted covariance", "factor")), seen_by=("predict",)),
-    "gyro bias": Fault("IMU", "offset", _bias, (0.05, -0.05, 0.1), seen_by=("recording",)),
-    "late": Fault("IMU", "timing", _fixed(_recording(recording_faults.delay_imu)), levels=(3,),
-                  seen_by=("recording",)),
+    "gyro bias": Fault("IMU", "offset", _bias, (0.08, -0.08, 0.12), seen_by=("recording",)),
+    "late": Fault("IMU", "timing", _late, (3.0, 5.0), levels=(3,), seen_by=("recording",)),
     "speed": Fault("IMU", "factor", _scaled_speed, (0.8, 1.25), seen_by=("recording",)),
-    "noisy gyro": Fault("IMU", "noise", _noisy_gyro, (2.5, 4.0), levels=(3,), seen_by=("recording",)),
+    "noisy gyro": Fault("IMU", "noise", _noisy_gyro, (3.0, 4.0), levels=(3,), seen_by=("recording",)),
     "flipped": Fault("extrinsics", "sign", _fixed(_recording(recording_faults.flip_imu_axes)), seen_by=("recording",)),
     "outliers": Fault("tracks", "outliers", _outliers, (0.25, 0.4), seen_by=("recording",)),
     "copies": Fault("tracks", "timing", _fixed(_recording(recording_faults.copy_frames)), levels=(3,),
