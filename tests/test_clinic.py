@@ -13,19 +13,19 @@ from vislam_edu.studies import clinic, clinic_tests, patients
 from vislam_edu.studies.clinic_tests import TESTS, bands, read
 from vislam_edu.studies.patients import FAULTS, HEALTHY, KINDS, Build
 
-PATIENTS = [(student, number) for student in range(4) for number in range(1, 11)]  # 40
+PATIENTS = [(student, number) for student in range(3) for number in range(1, 9)]  # 24
 
 
 # --- bots -------------------------------------------------------------------------------------------------------
 
 @cache
-def atlas(tests):
-    """What each fault reads in some tests, on a seed that no patient has: the experience of one who has seen all."""
+def atlas(test):
+    """What each fault reads in a test, on a seed that no patient has: the experience of one who has seen all."""
     found = {}
     for name, fault in FAULTS.items():
         for severity in fault.severities:
             build = replace(Build(), **fault.changes(severity))
-            found[name, severity] = np.concatenate([standardised(test, read(test, build, 500)) for test in tests])
+            found[name, severity] = standardised(test, read(test, build, 500))
     return found
 
 
@@ -50,7 +50,8 @@ def by_experience(tests):
                 break
         ordered = tuple(name for name in tests if name in patient.readings)
         mine = np.concatenate([standardised(name, patient.readings[name]) for name in ordered])
-        seen = {key: value for key, value in atlas(tuple(ordered)).items() if FAULTS[key[0]].piece in patient.suspects}
+        seen = {key: np.concatenate([atlas(name)[key] for name in ordered])
+                for key in atlas("numbers") if FAULTS[key[0]].piece in patient.suspects}
         nearest = FAULTS[min(seen, key=lambda key: np.linalg.norm(seen[key] - mine))[0]]
         abnormal = [name for name in ordered if patient.abnormal(name)]
         if not abnormal and HEALTHY in patient.suspects:
@@ -84,7 +85,7 @@ def test_the_taught_sequence_scores_above_8():
 @pytest.mark.parametrize("build", ["nothing", "births first"])
 def test_healthy_patients_raise_no_alarm(build):
     healthy = replace(Build(), **FAULTS[build].changes(1.0))
-    for seed in range(10_000, 10_010):
+    for seed in range(10_000, 10_006):
         for name in TESTS:
             readings = read(name, healthy, seed)
             assert all(bands()[name][key].holds(value) for key, value in readings.items()), (seed, name, readings)

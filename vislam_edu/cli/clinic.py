@@ -1,4 +1,4 @@
-"""`python -m vislam_edu clinic`: an examination in the clinic, handed out as case files and graded with a secret key."""
+"""`python -m vislam_edu clinic`: an examination handed out as case files and graded with a secret key."""
 
 import csv
 import json

@@ -55,7 +55,7 @@ def unseen(student: int | str, number: int = 0) -> Drive:
 
 
 def drives(student: int | str) -> list[Drive]:
-    """What a filter is judged on: `first_steps`, a part of `street_loop` with every fourth landmark, two unseen ones."""
+    """What a filter is judged on: `first_steps`, a part of `street_loop` (every fourth landmark), two unseen."""
     street = simulate.street_loop_data().slice(0, 100).subsample(4).replace(name="street_loop")
     return [simulate.first_steps().replace(name="first_steps"), street, unseen(student, 0), unseen(student, 1)]
 
