@@ -10,6 +10,7 @@ healthy patients read in them, are in `clinic_tests`. Whoever reads the source c
 takes a secret key, and hands out readings only.
 """
 
+import textwrap
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
@@ -18,6 +19,7 @@ import numpy as np
 from scipy import stats
 
 from ..kalman import Step
+from ..plots import style
 from . import clinic_tests
 from .clinic_tests import TESTS, Readings, bands, read
 from .patients import FAULTS, HEALTHY, KINDS, PIECES, SEAMS, Build, Drawn, draw, stream
@@ -134,7 +136,7 @@ class Patient:
                 low, high = bands()[name][key].limits
                 mark = "" if low <= value <= high else "   <"
                 lines.append(f"  {key:50}{_number(value):>9}   {_number(low)} to {_number(high)}{mark}")
-        return "\n".join([*lines, f"suspects left: {', '.join(self.left)}", f"budget left: {self.budget}"])
+        return "\n".join([*lines, _wrapped(f"suspects left: {', '.join(self.left)}"), f"budget left: {self.budget}"])
 
     def answer(self, piece: str | tuple[str, ...], kind: str | tuple[str, ...], evidence: str | tuple[str, ...] = "",
                cure: Mapping[str, Any] | None = None) -> Score:
@@ -162,6 +164,10 @@ class Patient:
 
 def _tuple(value) -> tuple[str, ...]:
     return (value,) if isinstance(value, str) else tuple(value)
+
+
+def _wrapped(text) -> str:
+    return textwrap.fill(text, style.PAGE, subsequent_indent="  ")
 
 
 def _number(value) -> str:
@@ -249,9 +255,11 @@ def _score(patient: Patient, drawn: Drawn, examine, findings, evidence, cure) ->
         found += bool(named)
         kinds += any(finding in FAULTS[name].answers for finding in named)
     for test, (piece, _) in zip(evidence, findings):
-        if piece == HEALTHY or not test:
+        if not test:
             continue
-        if test not in patient.readings:
+        if not any(piece == right for name in drawn.faults for right, _ in FAULTS[name].answers):
+            remarks.append(f"It was not {piece!r}, so {test!r} is no evidence of it.")
+        elif test not in patient.readings:
             remarks.append(f"{test!r} was not ordered: no evidence.")
         elif not evident(test, examine):
             remarks.append(f"{test!r} does not separate this patient on fresh seeds: no evidence.")
