@@ -705,3 +705,163 @@ def _(n, pairs):
     a, b = np.array(pairs, int).reshape(-1, 2).T
     label = connected_components(coo_array((np.ones(len(a)), (a, b)), shape=(n, n)), directed=False)[1]
     return [int(np.flatnonzero(label == label[i])[0]) for i in range(n)]
+
+
+# --- chapter 13: a whole filter, written plainly and by central differences ---------------------------------
+
+def exponential(xi):
+    return linalg.expm(wedge(np.asarray(xi)))
+
+
+def adjoint_of(T):
+    A = np.zeros((6, 6))
+    A[:3, :3] = A[3:, 3:] = T[:3, :3]
+    A[:3, 3:] = skew(T[:3, 3]) @ T[:3, :3]
+    return A
+
+
+def series_jacobian(xi):
+    # J_r = sum (-ad)^k / (k + 1)!
+    ad = np.zeros((6, 6))
+    ad[:3, :3] = ad[3:, 3:] = skew(xi[3:])
+    ad[:3, 3:] = skew(xi[:3])
+    total = term = np.eye(6)
+    for k in range(1, 25):
+        term = term @ -ad / (k + 1)
+        total = total + term
+    return total
+
+
+@answer("filter_predict")
+def predict_by_blocks(T, P, twist, tau, noise):
+    step = exponential(tau * twist)
+    F, B = adjoint_of(np.linalg.inv(step)), tau * series_jacobian(tau * twist)
+    n, new = len(P) - 6, P.copy()
+    new[:n, n:] = P[:n, n:] @ F.T
+    new[n:, :n] = new[:n, n:].T
+    new[n:, n:] = F @ P[n:, n:] @ F.T + B @ noise.twist_covariance @ B.T
+    return T @ step, new
+
+
+@answer("filter_predict")
+def predict_with_one_matrix(T, P, twist, tau, noise):
+    step = exponential(tau * twist)
+    big = linalg.block_diag(np.eye(len(P) - 6), adjoint_of(np.linalg.inv(step)))
+    G = np.vstack([np.zeros((len(P) - 6, 6)), tau * series_jacobian(tau * twist)])
+    return T @ step, big @ P @ big.T + G @ noise.twist_covariance @ G.T
+
+
+def full_H(T, landmarks, rows, camera):
+    n, H = len(landmarks), []
+    for j in rows:
+        s = np.linalg.inv(T) @ np.append(landmarks[j], 1)
+        q = camera.cam_T_imu @ s
+        J = camera.K_s @ (np.eye(4) / q[2] - np.outer(q, [0, 0, 1, 0]) / q[2]**2) @ camera.cam_T_imu[:, :3]
+        row = np.zeros((4, 3 * n + 6))
+        row[:, 3 * j:3 * j + 3] = J @ T[:3, :3].T
+        row[:, 3 * n:] = -J @ np.hstack([I3, -skew(s[:3])])
+        H.append(row)
+    return np.vstack(H)
+
+
+@answer("filter_update")
+def update_by_gain(T, landmarks, P, rows, z, camera, noise):
+    H = full_H(T, landmarks, rows, camera)
+    S = H @ P @ H.T + noise.sigma_px**2 * np.eye(len(H))
+    K = P @ H.T @ np.linalg.inv(S)
+    delta = K @ np.ravel([z[i] - pixels(camera, T, landmarks[j]) for i, j in enumerate(rows)])
+    n = landmarks.size
+    return T @ exponential(delta[n:]), landmarks + delta[:n].reshape(-1, 3), (np.eye(len(P)) - K @ H) @ P
+
+
+@answer("filter_update")
+def update_by_information(T, landmarks, P, rows, z, camera, noise):
+    H = full_H(T, landmarks, rows, camera)
+    new = np.linalg.inv(np.linalg.inv(P) + H.T @ H / noise.sigma_px**2)
+    residual = np.concatenate([z[i] - pixels(camera, T, landmarks[j]) for i, j in enumerate(rows)])
+    delta = new @ H.T @ residual / noise.sigma_px**2
+    moved_landmarks = np.array([m + delta[3 * i:3 * i + 3] for i, m in enumerate(landmarks)])
+    return T @ exponential(delta[-6:]), moved_landmarks, new
+
+
+def _stereo_point(z, camera):
+    f, b, K = camera.K[0, 0], camera.baseline, camera.K
+    depth = f * b / (z[0] - z[2])
+    return depth * np.linalg.inv(K) @ np.array([z[0], (z[1] + z[3]) / 2, 1])
+
+
+@answer("filter_birth")
+def birth_by_rows(T, landmarks, P, z, camera, noise):
+    R, Rc = T[:3, :3], camera.imu_T_cam[:3, :3]
+    q = _stereo_point(z, camera)
+    H = (camera.K_s @ (np.eye(4) / q[2] - np.outer(np.append(q, 1), [0, 0, 1, 0]) / q[2]**2))[:, :3]
+    C = R @ Rc @ np.linalg.inv(H.T @ H) @ Rc.T @ R.T * noise.sigma_px**2
+    s = Rc @ q + camera.imu_T_cam[:3, 3]
+    G = np.hstack([R, -R @ skew(s)])
+    n = len(P) - 6
+    cross = G @ P[n:]
+    new = np.block([[P[:n, :n], cross[:, :n].T, P[:n, n:]],
+                    [cross[:, :n], G @ P[n:, n:] @ G.T + C, cross[:, n:]],
+                    [P[n:, :n], cross[:, n:].T, P[n:, n:]]])
+    return np.vstack([landmarks, R @ s + T[:3, 3]]), new
+
+
+@answer("filter_birth")
+def birth_by_a_stack(T, landmarks, P, z, camera, noise):
+    # All errors, the pixels' too, as one vector; the new landmark is a linear function of it.
+    q, n = _stereo_point(z, camera), len(P) - 6
+    H = (camera.K_s @ (np.eye(4) / q[2] - np.outer(np.append(q, 1), [0, 0, 1, 0]) / q[2]**2))[:, :3]
+    world_T_cam = T @ np.linalg.inv(camera.cam_T_imu)
+    s = np.linalg.inv(camera.cam_T_imu) @ np.append(q, 1)
+    A = np.zeros((n + 9, n + 10))
+    A[:n, :n], A[n + 3:, n:n + 6] = np.eye(n), np.eye(6)
+    A[n:n + 3, n:n + 6] = T[:3, :3] @ np.hstack([I3, -skew(s[:3])])
+    A[n:n + 3, n + 6:] = world_T_cam[:3, :3] @ np.linalg.pinv(H)
+    point = (T @ s)[:3]
+    return np.vstack([landmarks, point]), A @ linalg.block_diag(P, noise.sigma_px**2 * np.eye(4)) @ A.T
+
+
+def _frame(state, ids, z, camera, noise, update, birth, reverse):
+    T, landmarks, known, P = state
+    keep = [i for i, name in enumerate(known) if name in ids]
+    index = [3 * i + j for i in keep for j in range(3)] + list(range(len(P) - 6, len(P)))
+    landmarks, known, P = landmarks[keep], [known[i] for i in keep], P[index][:, index]
+    old = [i for i, name in enumerate(ids) if name in known]
+    if old:
+        rows = np.array([known.index(ids[i]) for i in old])
+        T, landmarks, P = update(T, landmarks, P, rows, z[old], camera, noise)
+    new = [i for i in range(len(ids)) if i not in old and z[i, 0] - z[i, 2] > 1]
+    for i in new[::-1] if reverse else new:
+        landmarks, P = birth(T, landmarks, P, z[i], camera, noise)
+        known.append(ids[i])
+    return T, landmarks, np.array(known, int), P
+
+
+@answer("filter_frame")
+def frame_by_loops(state, ids, z, camera, noise):
+    return _frame(state, ids, z, camera, noise, update_by_gain, birth_by_rows, False)
+
+
+@answer("filter_frame")
+def frame_born_backwards(state, ids, z, camera, noise):
+    return _frame(state, ids, z, camera, noise, update_by_information, birth_by_a_stack, True)
+
+
+def _drive(drive, noise, predict, frame):
+    state = np.eye(4), np.zeros((0, 3)), np.zeros(0, int), np.array(noise.initial_pose_covariance)
+    for k in range(drive.n_frames):
+        if k > 0:
+            T, P = predict(state[0], state[3], drive.step_twists[k - 1], drive.taus[k - 1], noise)
+            state = T, *state[1:3], P
+        state = frame(state, *drive.observed(k), drive.camera, noise)
+        yield state
+
+
+@answer("filter_run")
+def run_as_a_generator(drive, noise):
+    yield from _drive(drive, noise, predict_by_blocks, frame_by_loops)
+
+
+@answer("filter_run")
+def run_as_a_list(drive, noise):
+    return list(_drive(drive, noise, predict_with_one_matrix, frame_born_backwards))

@@ -22,6 +22,7 @@ COMMANDS = {  # each a module of this package: what it does
     "simulate": "make a recording with ground truth: a street loop",
     "consistency": "the filters over many simulated drives: are their covariances honest?",
     "exercises": "grade submitted notebooks, list the mistakes that checks know",
+    "clinic": "an examination with unlabelled faults: hand out case files, grade the answers",
     "notebooks": "run the notebooks and store their outputs",
 }
 

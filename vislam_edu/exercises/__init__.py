@@ -17,6 +17,7 @@ from . import (  # noqa: F401 - register
     chapter07,
     chapter11,
     chapter12,
+    chapter13,
 )
 from .check import check, hint, solution
 from .exercise import EXERCISES

@@ -55,6 +55,7 @@ class Exercise:
     outputs : names of the results where the answer returns several, else empty.
     canonical : what to compare, as a function of the list of results; None compares them as they are.
     tolerance : largest error, relative to the largest entry of the result.
+    reading : what is made of a result before it is compared, where it is no array; None takes it as it is.
     """
 
     chapter: int
@@ -65,6 +66,7 @@ class Exercise:
     outputs: tuple[str, ...]
     canonical: Callable | None
     tolerance: float
+    reading: Callable | None = None
     mistakes: list[Mistake] = field(default_factory=list)
 
     @property
@@ -91,6 +93,11 @@ class Exercise:
         """The (label, arguments) the answer is tried on: always the same, freshly made."""
         return list(self.cases(np.random.default_rng(SEED)))
 
+    def expected(self, *arguments):
+        """The right result, read as an answer's is."""
+        result = self.reference(*arguments)
+        return self.reading(result) if self.reading else result
+
     def mistake(self, name: str, hint: str):
         """Decorator that hangs a wrong version in the museum."""
         def hang(function):
@@ -99,11 +106,11 @@ class Exercise:
         return hang
 
 
-def exercise(*, chapter, cases, hints, shows, outputs=(), canonical=None, tolerance=1e-8):
+def exercise(*, chapter, cases, hints, shows, outputs=(), canonical=None, tolerance=1e-8, reading=None):
     """Decorator that makes an exercise of its reference answer and enters it under the function's name."""
     def enter(reference):
         entry = Exercise(chapter, reference, cases, tuple(" ".join(hint.split()) for hint in hints), tuple(shows),
-                         tuple(outputs), canonical, tolerance)
+                         tuple(outputs), canonical, tolerance, reading)
         if entry.name in EXERCISES:
             raise ValueError(f"there are two exercises called {entry.name}")
         EXERCISES[entry.name] = entry

@@ -30,12 +30,16 @@ _PASSED_ON = {"PATH", "HOME", "USER", "LANG", "LC_ALL", "TZ", "TMPDIR", "TEMP", 
 
 @dataclass(frozen=True)
 class Result:
-    """What became of one exercise of one notebook. status : of the last check that ran, or NO_VERDICT."""
+    """What became of one exercise of one notebook. status : of the last check that ran, or NO_VERDICT.
+
+    score : of the capstone, what `capstone.Score.figures` holds; else None.
+    """
 
     exercise: str
     status: str
     mistake: str = ""
     detail: str = ""
+    score: dict | None = None
 
     @property
     def chapter(self) -> int:
@@ -112,12 +116,14 @@ def _execute(notebook, folder, limit):
 
 
 def _verdicts(record) -> dict[str, Result]:
-    results = {}
+    results: dict[str, Result] = {}
     if record.exists():
         for line in record.read_text(encoding="utf-8").splitlines():
             try:
                 entry = json.loads(line)
-                result = Result(entry["exercise"], entry["status"], entry["mistake"], entry["text"])
+                before = results.get(entry["exercise"])
+                result = Result(entry["exercise"], entry["status"], entry["mistake"], entry["text"],
+                                entry.get("score", before and before.score))
             except (ValueError, KeyError, TypeError):
                 continue  # cut off by a dying kernel, or written by the submission itself
             if result.exercise in EXERCISES:

@@ -70,7 +70,10 @@ def _why(result) -> str:
 
 
 def write(submissions, folder: Path) -> None:
-    """exercises.csv, one row for each exercise of each notebook, and exercises.json with the same in full."""
+    """exercises.csv, one row for each exercise of each notebook, and exercises.json with the same in full.
+
+    Where a notebook holds a capstone, capstone.csv has one row for each drive that its filter was judged on.
+    """
     fields = ["notebook", "chapter", "exercise", "status", "mistake"]
     with open(folder / "exercises.csv", "w", newline="", encoding="utf-8") as file:
         rows = csv.writer(file)
@@ -80,6 +83,13 @@ def write(submissions, folder: Path) -> None:
                 rows.writerow([submission.name, "", "", submission.problem, ""])
             rows.writerows([submission.name, result.chapter, result.exercise, result.status, result.mistake]
                            for result in submission.results)
+    scores = [{"notebook": submission.name} | row for submission in submissions for result in submission.results
+              if result.score for row in result.score["drives"]]
+    if scores:
+        with open(folder / "capstone.csv", "w", newline="", encoding="utf-8") as file:
+            table_of_scores = csv.DictWriter(file, list(scores[0]))
+            table_of_scores.writeheader()
+            table_of_scores.writerows(scores)
     content = [{"notebook": submission.name, "problem": submission.problem,
                 "exercises": [{"chapter": result.chapter} | dataclasses.asdict(result)
                               for result in submission.results]} for submission in submissions]

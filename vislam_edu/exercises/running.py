@@ -1,5 +1,6 @@
 """Calling a function that someone else wrote: copies in, arrays out, a time limit, and errors named as theirs."""
 
+import contextlib
 import ctypes
 import linecache
 import re
@@ -56,16 +57,23 @@ def answers(exercise, function, cases, limit=LIMIT) -> tuple[list[Outcome], str]
     outcomes: list[Outcome] = []
 
     def work():
-        try:
-            with np.errstate(all="ignore"):
-                for _, arguments in cases:
-                    outcomes.append(outcome_of(exercise, function, arguments))
-                    if outcomes[-1].blank:
-                        return
-        except _Stop:
-            pass
+        with np.errstate(all="ignore"):
+            for _, arguments in cases:
+                outcomes.append(outcome_of(exercise, function, arguments))
+                if outcomes[-1].blank:
+                    return
 
-    thread = threading.Thread(target=work, daemon=True)
+    ended = within(work, limit)
+    return outcomes[:len(cases)], ended if len(outcomes) < len(cases) else ""
+
+
+def within(work, limit) -> str:
+    """Run `work()` for at most `limit` seconds in a thread of its own; "" if it came to its end, else see `answers`."""
+    def guarded():
+        with contextlib.suppress(_Stop):
+            work()
+
+    thread = threading.Thread(target=guarded, daemon=True)
     with warnings.catch_warnings():  # a warning would show a path that differs from run to run
         warnings.simplefilter("ignore")
         try:
@@ -73,7 +81,7 @@ def answers(exercise, function, cases, limit=LIMIT) -> tuple[list[Outcome], str]
             thread.join(limit)
         finally:  # also when the student interrupts the kernel
             ended = _stop(thread) if thread.is_alive() else ""
-    return outcomes[:len(cases)], ended if len(outcomes) < len(cases) else ""
+    return ended
 
 
 def _stop(thread) -> str:
@@ -90,6 +98,8 @@ def outcome_of(exercise, function, arguments) -> Outcome:
     given = [copied(argument) for argument in arguments]
     try:
         result = function(*given)
+        if exercise.reading and not (result is None or result is ... or result is NotImplemented):
+            result = exercise.reading(result)
     except NotImplementedError as error:
         raised_in = _their_frames(error)[-1:]
         calls = [frame.name for frame in raised_in if frame.name != getattr(function, "__name__", frame.name)]
@@ -111,6 +121,8 @@ def outcome_of(exercise, function, arguments) -> Outcome:
 
 def copied(argument):
     """An argument that may be written to: arrays are copied, all else (numbers, the camera) cannot change."""
+    if isinstance(argument, tuple):
+        return tuple(map(copied, argument))
     return argument.copy() if isinstance(argument, np.ndarray) else argument
 
 

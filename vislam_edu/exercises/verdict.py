@@ -36,7 +36,7 @@ def judge(exercise: Exercise, function, limit=LIMIT) -> Verdict:
     if not callable(function):
         return Verdict(name, WRONG, f"{name}: give the function itself, without calling it: check.{name}({name})")
     cases = exercise.inputs()
-    expected = [arrays(exercise.reference(*map(copied, arguments)), exercise.outputs)[0] for _, arguments in cases]
+    expected = [arrays(exercise.expected(*map(copied, arguments)), exercise.outputs)[0] for _, arguments in cases]
     outcomes, ended = answers(exercise, function, cases, limit)
     if any(outcome.blank for outcome in outcomes):
         return _blank(exercise, outcomes)

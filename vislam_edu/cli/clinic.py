@@ -1,0 +1,84 @@
+"""`python -m vislam_edu clinic`: an examination handed out as case files and graded with a secret key."""
+
+import csv
+import json
+import secrets
+from pathlib import Path
+
+from .arguments import OptionError, whole
+
+
+def add_arguments(parser):
+    """The options of `clinic`. parser : argparse.ArgumentParser."""
+    parser.add_argument("what", choices=("hand-out", "grade"),
+                        help="hand-out: write one case file a student, with readings only; grade: score their answers")
+    parser.add_argument("--key", type=Path, required=True, metavar="FILE",
+                        help="the secret that the patients are drawn with; hand-out makes the file where it is missing")
+    parser.add_argument("--students", nargs="+", default=[], metavar="NAME", help="for hand-out: names or numbers")
+    parser.add_argument("--patients", type=whole(1), default=3, metavar="N", help="for each student (default: 3)")
+    parser.add_argument("--level", type=int, choices=(1, 2, 3), default=2, help="default: 2")
+    parser.add_argument("--answers", type=Path, metavar="DIR", help="for grade: the answered case files")
+    parser.add_argument("--out", type=Path, default=Path(), metavar="DIR",
+                        help="where case files, or clinic.csv and clinic.json, are written (default: here)")
+
+
+def run(arguments) -> int:
+    """Hand out or grade; returns the exit status. Raises OptionError for what is missing or cannot be read."""
+    arguments.out.mkdir(parents=True, exist_ok=True)
+    if arguments.what == "hand-out":
+        return _hand_out(arguments)
+    return _grade(arguments)
+
+
+def _hand_out(arguments) -> int:
+    from ..studies import clinic
+
+    if not arguments.students:
+        raise OptionError("clinic hand-out: name the students with --students")
+    unsafe = [name for name in arguments.students if not name.replace("-", "").replace("_", "").isalnum()]
+    if unsafe:
+        raise OptionError(f"clinic hand-out: a student's name is made of letters, digits, - and _; got {unsafe[0]!r}")
+    if not arguments.key.exists():
+        arguments.key.touch(mode=0o600)
+        arguments.key.write_text(secrets.token_hex(32) + "\n", encoding="utf-8")
+        print(f"a new key was written to {arguments.key}: keep it from the students")
+    key = _key(arguments.key)
+    for student in arguments.students:
+        cases = [clinic.case(student, number, arguments.level, key) for number in range(1, arguments.patients + 1)]
+        path = arguments.out / f"case_{student}.json"
+        path.write_text(json.dumps({"student": student, "level": arguments.level, "cases": cases}, indent=1) + "\n",
+                        encoding="utf-8")
+        print(f"{len(cases)} patients for {student}: {path}")
+    return 0
+
+
+def _grade(arguments) -> int:
+    from ..studies import clinic
+
+    if arguments.answers is None or not (files := sorted(arguments.answers.glob("*.json"))):
+        raise OptionError("clinic grade: --answers names a directory with answered case files")
+    key, rows = _key(arguments.key), []
+    for file in files:
+        try:
+            content = json.loads(file.read_text(encoding="utf-8"))
+            rows += [{"file": file.name, "student": str(content["student"]), "patient": case["number"]}
+                     | clinic.grade(content["student"], case, content["level"], key) for case in content["cases"]]
+        except (ValueError, KeyError, TypeError, AttributeError) as error:
+            rows.append({"file": file.name, "problem": f"not a case file: {' '.join(str(error).split())}"})
+    columns = ["file", "student", "patient", "total", "piece", "kind", "evidence", "cure", "thrift", "problem"]
+    with open(arguments.out / "clinic.csv", "w", newline="", encoding="utf-8") as out:
+        table = csv.DictWriter(out, columns, extrasaction="ignore", restval="")
+        table.writeheader()
+        table.writerows(rows)
+    (arguments.out / "clinic.json").write_text(json.dumps(rows, indent=2) + "\n", encoding="utf-8")
+    for row in rows:
+        print(f"{row['file']:24} {row.get('patient', ''):>3} {row.get('total', ''):>6}  {row.get('problem', '')}")
+    print(f"written to {arguments.out / 'clinic.csv'} and {arguments.out / 'clinic.json'}")
+    return 0
+
+
+def _key(path: Path) -> str:
+    key = path.read_text(encoding="utf-8").strip()
+    if not key:
+        raise OptionError(f"{path}: the key is empty, and without one everybody can look the patients up")
+    return key
