@@ -246,7 +246,7 @@ def judged(run: Callable, drive: Drive, limit: float = LIMIT, error_state: Error
 
     mine = follow(run, drive, limit=limit)
     if mine.problem == NOT_WRITTEN:
-        return Judged(drive.name, *4 * [_NOTHING], problem=NOT_WRITTEN)
+        return Judged(drive.name, _NOTHING, _NOTHING, _NOTHING, _NOTHING, NOT_WRITTEN)
     dead = odometry.dead_reckon(drive, NOISE)
     return Judged(drive.name, _NOTHING if mine.problem else of(mine, error_state),
                   of(follow(filter_run.reference, drive)), of(follow(package_run, drive)),

@@ -208,7 +208,7 @@ def grade(student: int | str, answered: Mapping[str, Any], level: int, key: str)
         patient.order(*answered["ordered"])
         if not answered["piece"]:
             return {"total": 0.0, "problem": "not answered"}
-        score = patient.answer(*(tuple(answered[part]) for part in ("piece", "kind", "evidence")))
+        score = patient.answer(tuple(answered["piece"]), tuple(answered["kind"]), tuple(answered["evidence"]))
     except (ValueError, KeyError, TypeError) as error:
         return {"total": 0.0, "problem": " ".join(str(error).split())}
     parts = ("piece", "kind", "evidence", "cure", "thrift")
