@@ -157,7 +157,7 @@ def test_report_noise_is_the_reports_unless_a_value_is_given():
 
 
 def test_quiet_says_nothing(recording, tmp_path, capfd):
-    assert cli.main(["run", str(recording), "--out", str(tmp_path), "--quiet", "--every", "4"]) == 0
+    assert cli.main(["run", str(recording), "--out", str(tmp_path), "--quiet"]) == 0
     assert capfd.readouterr() == ("", "")
 
 
