@@ -17,10 +17,9 @@ from pathlib import Path
 import numpy as np
 import real_drives
 
-from vislam_edu import batch, consensus, metrics
+from vislam_edu import batch, metrics, robust
 from vislam_edu.audit import audit
 from vislam_edu.error_state import RightPerturbation
-from vislam_edu.motion import TwistAndBias
 from vislam_edu.studies import pipeline
 
 EVERY = 25  # frames between poses whose NEES is taken: covariances are solved for
@@ -46,7 +45,7 @@ def treatments(drive) -> dict:
     cured, noise = report.cured(), pipeline.noise_of_real_drive(report.noise)
     usual = batch.of_real_drive(cured, noise)
     return {
-        "filter": real_drives.filtered(cured, noise, motion_model=TwistAndBias, process_frame=consensus.process_frame),
+        "filter": real_drives.filtered(cured, noise, motion_model=robust.RealDrive, process_frame=robust.process_frame),
         "batch": solved(usual),
         "batch, scale estimated": solved(batch.of_real_drive(cured, noise, scale_sigma=0.05)),
         "batch, no walk of the twist": solved(replace(usual, walk_sigma=None)),

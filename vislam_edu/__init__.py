@@ -33,7 +33,6 @@ metrics                 ATE, KITTI drift, NIS, NEES
 error_state             what an error is
 motion                  the joint belief, and how it moves
 window_slam             the joint filter over the landmarks in view, fast
-consensus               a second gate: measurements that agree with each other
 robust                  weights and slipping landmarks for real tracks
 smoother                the final estimate of every landmark
 batch                   the whole drive at once: least squares over poses and landmarks
@@ -57,7 +56,6 @@ if TYPE_CHECKING:
         association,
         audit,
         batch,
-        consensus,
         drive,
         ekf_slam,
         error_state,
@@ -88,7 +86,7 @@ if TYPE_CHECKING:
 __version__ = "0.2.0"
 __all__ = [
     "Drive", "Noise", "RightInvariant", "RightPerturbation", "StereoCamera", "association", "audit", "batch",
-    "consensus", "drive", "ekf_slam", "error_state", "exercises", "kalman", "load", "mapping", "metrics", "motion",
+    "drive", "ekf_slam", "error_state", "exercises", "kalman", "load", "mapping", "metrics", "motion",
     "noise", "odometry", "plots", "recordings", "robust", "se3", "simulate", "smoother", "stereo", "studies", "widgets",
     "window_slam",
 ]
