@@ -3,6 +3,7 @@
 from itertools import permutations, product
 
 import numpy as np
+import picture_checks
 import pytest
 from joblib import Parallel, delayed
 from numerical import central_difference
@@ -12,6 +13,7 @@ from vislam_edu import association, batch, kalman, metrics, se3, simulate, windo
 from vislam_edu.error_state import RightInvariant, RightPerturbation
 from vislam_edu.motion import Belief
 from vislam_edu.noise import Noise
+from vislam_edu.widgets.branches import BranchesPicture
 
 SEEDS = range(20)
 NOISE = Noise(1.0, 0.1, 0.7 * 2**0.5)  # what `returning_loop` adds
@@ -262,3 +264,34 @@ def test_a_filter_that_associates_nothing_is_as_before():
                             window_slam.run(drive, Noise(), associate=lambda belief, k: belief)):
         assert np.array_equal(plain.posterior.covariance, asked.posterior.covariance)
         assert np.array_equal(plain.retired, asked.retired)
+
+
+# --- the search, stepped -------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def branches():
+    both = next(both for both in map(random_candidates, range(50))
+                if len(list(association.branch_and_bound(both))) > 5)
+    return BranchesPicture(both)
+
+
+@pytest.mark.parametrize("check", picture_checks.ALL, ids=lambda check: check.__name__)
+def test_the_picture_of_the_search_stands_what_every_picture_must(check, branches):
+    nodes = range(1, len(branches.nodes) + 1)
+    check(branches, [{"node": node} for node in nodes])
+
+
+def test_the_picture_shows_the_pairs_of_its_node_and_ends_with_the_answer(branches):
+    for node in range(1, len(branches.nodes) + 1):
+        branches.png(node=node)
+        assert len(branches.lines.get_segments()) == len(branches.nodes[node - 1].pairs)
+        assert len(branches.edges.get_segments()) == node
+    best = association.joint_compatibility(branches.both)
+    assert branches.caption(node=node).endswith(f"Best so far: {len(best)}.")
+
+
+def test_without_a_pair_there_is_no_tree():
+    apart = random_candidates(0, spread=1e3)
+    with pytest.raises(ValueError, match="no pair passes its own gate"):
+        BranchesPicture(apart)

@@ -86,24 +86,3 @@ def by_eighth(before, after, title):
     axes.bar(place + 0.2, after, 0.4, color=style.COLOURS["posterior"], label="after")
     axes.set(xlabel="eighth of the loop in which the landmark was first seen", ylabel="median sigma (m)", xticks=place)
     return drawing.finish(figure, title)
-
-
-def branches(nodes, title):
-    """The tree of branch and bound: each node one pair deeper than its parent, in the order of the search.
-
-    nodes : list of `association.Node`. Returns a Figure.
-    """
-    figure, axes = drawing.new_figure(2.8)
-    depth = np.array([len(node.pairs) for node in nodes])
-    order = np.arange(1, len(nodes) + 1)
-    for k, node in enumerate(nodes):
-        parents = [i for i in range(k) if nodes[i].pairs == node.pairs[:-1]]
-        start = (order[parents[-1]], depth[parents[-1]]) if parents else (0, 0)
-        axes.plot([start[0], order[k]], [start[1], depth[k]], color=style.COLOURS["faded"], linewidth=0.8)
-    fits = np.array([node.compatible for node in nodes])
-    for name, chosen, marker in (("accepted", fits, "o"), ("rejected", ~fits, "x")):
-        words = "fits together" if name == "accepted" else "does not: the branch ends"
-        axes.plot(order[chosen], depth[chosen], marker, color=style.COLOURS[name], markersize=5, label=words)
-    axes.set(xlabel="node, in the order of the search", ylabel="pairs", ylim=(depth.max() + 0.5, -0.5),
-             yticks=np.arange(depth.max() + 1))
-    return drawing.finish(figure, title)

@@ -4,13 +4,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .. import metrics, plots, se3, window_slam
+from .. import metrics, se3, window_slam
 from ..error_state import RightInvariant
 from ..motion import TwistAndBias
 from ..plots.style import COLOURS
 from ..studies import pipeline
 from .canvas import Picture, Switch
-from .panels import add_axes, legend
+from .panels import add_axes, fit_equal, legend
 
 LOST = 20.0  # % of drift: beyond it there is nothing to compare
 
@@ -105,7 +105,7 @@ class CuresPicture(Picture):
         path = ground(self.reference)
         self.map = add_axes(self, (0.07, 0.12, 0.5, 0.78), "Path of the left camera, from above",
                             "forward at the start (m)", "left at the start (m)")
-        self._fit(path)
+        fit_equal(self.map, path, margin=25.0)  # what leaves it is lost anyway
         (reference,) = self.map.plot(*path.T, color=COLOURS["truth"], lw=1.2, label=name)
         (self.line,) = self.map.plot([], [], color=COLOURS["invariant"], lw=1.6, label="filter")
         legend(self.map, [reference, self.line], loc="upper left")
@@ -115,16 +115,6 @@ class CuresPicture(Picture):
                              xlim=(0, self.times[-1]))
         (self.error,) = self.axes.plot([], [], color=COLOURS["invariant"], lw=1.6)
         self.moves(self.line, self.error)
-
-    def _fit(self, path):
-        """Limits of equal scale that hold the reference with a margin; what leaves them is lost anyway."""
-        x0, x1, y0, y1 = plots.view_around(path, margin=25.0)
-        box = self.map.get_window_extent()
-        scale = max((x1 - x0) / box.width, (y1 - y0) / box.height)  # m per px
-        half = scale / 2 * np.array([box.width, box.height])
-        centre = np.array([x0 + x1, y0 + y1]) / 2
-        (x0, y0), (x1, y1) = centre - half, centre + half
-        self.map.set(xlim=(x0, x1), ylim=(y0, y1))
 
     def _outcome(self, state):
         return self.outcome([fault for fault in self.faults if state[fault.replace(" ", "_")]])

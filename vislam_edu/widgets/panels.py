@@ -3,6 +3,7 @@
 import numpy as np
 from scipy.stats import chi2
 
+from .. import plots
 from ..simulate import IMAGE_SIZE
 
 # Points. GitHub shows a picture of 1000 px 830 px wide, where lettering of 9.5 points measures 8.2.
@@ -41,6 +42,15 @@ def legend_above(axes, handles, lines=1, x=0.0):
     axes.set_title(axes.get_title("left"), fontsize=TITLE, loc="left", pad=3 + 16 * lines, x=x)
     return legend(axes, handles, columns=-(-len(handles) // lines), loc="lower left", bbox_to_anchor=(x, 1),
                   frameon=False, borderaxespad=0)
+
+
+def fit_equal(axes, *points, margin):
+    """Limits of equal scale on both axes that hold points (n, 2) with a margin, in their units."""
+    x0, x1, y0, y1 = plots.view_around(*points, margin=margin)
+    box = axes.get_window_extent()
+    scale = max((x1 - x0) / box.width, (y1 - y0) / box.height)  # units per px
+    (x, y), half = np.array([x0 + x1, y0 + y1]) / 2, scale / 2 * np.array([box.width, box.height])
+    axes.set(xlim=(x - half[0], x + half[0]), ylim=(y - half[1], y + half[1]))
 
 
 def image_axes(picture, rect, title):
