@@ -156,6 +156,15 @@ def test_report_noise_is_the_reports_unless_a_value_is_given():
         Noise.from_report().sigma_v, Noise.from_report().sigma_omega, 1)
 
 
+def test_batch_adds_its_figure_and_its_numbers_and_nothing_else(out, recording, tmp_path):
+    assert cli.main(["run", str(recording), "--out", str(tmp_path), "--quiet", "--batch"]) == 0
+    assert set(files(tmp_path)) - set(files(out)) == {"fig8_batch.png"}
+    with_batch, without = (json.loads((folder / "summary.json").read_text()) for folder in (tmp_path, out))
+    assert set(with_batch) - set(without) == {
+        "batch_s", "batch_iterations", "batch_position_rmse_m", "batch_ate_m", "batch_drift_percent"}
+    assert with_batch["batch_position_rmse_m"] < with_batch["dead_reckoning_position_rmse_m"]
+
+
 def test_quiet_says_nothing(recording, tmp_path, capfd):
     assert cli.main(["run", str(recording), "--out", str(tmp_path), "--quiet"]) == 0
     assert capfd.readouterr() == ("", "")
