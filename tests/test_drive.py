@@ -226,15 +226,15 @@ def test_frames_without_truth_stay_nan_and_the_first_known_one_is_the_anchor():
     drive = small_drive(truth_world_T_cam=poses)
     assert np.isnan(drive.true_world_T_imu[[0, 1, 4]]).all()
     assert drive.true_world_T_imu[2] == pytest.approx(np.eye(4), abs=1e-12)
-    assert drive.slice(0, 2).true_world_T_imu is None
-    assert drive.slice(0, 2).true_landmarks is None
+    assert not drive.slice(0, 2).has_truth
+    assert not drive.slice(0, 2).has_true_landmarks
 
 
 def test_no_truth():
     drive = small_drive(truth_world_T_cam=None, truth_landmarks=None)
-    assert drive.true_world_T_imu is None
-    assert drive.true_landmarks is None
-    assert small_drive(truth_landmarks=None).true_landmarks is None
+    assert not drive.has_truth
+    assert not drive.has_true_landmarks
+    assert not small_drive(truth_landmarks=None).has_true_landmarks
     assert drive.slice(1, 4).subsample(2).truth_world_T_cam is None
 
 

@@ -142,31 +142,41 @@ class Drive:
         last[self.landmark] = self.frame
         return last
 
+    @property
+    def has_truth(self) -> bool:
+        """Whether the true pose of some frame is known."""
+        return self.truth_world_T_cam is not None and bool(np.isfinite(self.truth_world_T_cam[:, 0, 0]).any())
+
+    @property
+    def has_true_landmarks(self) -> bool:
+        """Whether true landmarks are known, in a world whose place is known too."""
+        return self.has_truth and self.truth_landmarks is not None
+
     @cached_property
-    def true_world_T_imu(self) -> np.ndarray | None:
-        """(T, 4, 4) true IMU poses, NaN where there is none, or None; the world is the IMU frame at frame 0.
+    def true_world_T_imu(self) -> np.ndarray:
+        """(T, 4, 4) true IMU poses, NaN where there is none; the world is the IMU frame at frame 0.
 
         Where frame 0 has no truth, the world is the IMU frame at the first frame that has.
+        Raises DriveError where no true pose is known; `has_truth` asks.
         """
-        if self._imu_T_truth_world is None:
-            return None
         return self._imu_T_truth_world @ self.truth_world_T_cam @ self.camera.cam_T_imu
 
     @cached_property
-    def true_landmarks(self) -> np.ndarray | None:
-        """(M, 3) true landmarks, m, in the same world as `true_world_T_imu`, or None."""
-        if self._imu_T_truth_world is None or self.truth_landmarks is None:
-            return None
+    def true_landmarks(self) -> np.ndarray:
+        """(M, 3) true landmarks, m, in the same world as `true_world_T_imu`.
+
+        Raises DriveError where none are known; `has_true_landmarks` asks.
+        """
+        if self.truth_landmarks is None:
+            raise DriveError(f"{self.name or 'this drive'} has no true landmarks (truth_landmarks is None)")
         return se3.transform(self._imu_T_truth_world, self.truth_landmarks)
 
     @cached_property
-    def _imu_T_truth_world(self) -> np.ndarray | None:
-        if self.truth_world_T_cam is None:
-            return None
-        known = np.flatnonzero(np.isfinite(self.truth_world_T_cam[:, 0, 0]))
-        if not known.size:
-            return None
-        return se3.inverse(self.truth_world_T_cam[known[0]] @ self.camera.cam_T_imu)
+    def _imu_T_truth_world(self) -> np.ndarray:
+        if self.truth_world_T_cam is None or not self.has_truth:
+            raise DriveError(f"{self.name or 'this drive'} has no ground truth: no true pose of any frame is known")
+        first = np.flatnonzero(np.isfinite(self.truth_world_T_cam[:, 0, 0]))[0]
+        return se3.inverse(self.truth_world_T_cam[first] @ self.camera.cam_T_imu)
 
     def replace(self, **fields: Any) -> Drive:
         """A validated copy with these fields changed."""

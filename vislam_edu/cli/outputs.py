@@ -53,7 +53,7 @@ def summary(result, smoothed=None) -> dict:
     if result.calibration is not None:
         numbers |= _claims(drive, slam.trajectory.world_T_imu, plain + result.calibration, "with_calibration_error",
                            "_with_calibration")
-    if drive.true_world_T_imu is not None:
+    if drive.has_truth:
         numbers |= _errors(drive, slam.trajectory.world_T_imu, "")
         numbers |= _errors(drive, result.dead_reckoning.world_T_imu, "dead_reckoning_")
         percent, degrees = metrics.kitti_drift(drive.truth_world_T_cam, _world_T_cam(drive, slam.trajectory))
@@ -61,7 +61,7 @@ def summary(result, smoothed=None) -> dict:
     if smoothed is not None:
         poses = smoothed.solution.estimate.world_T_imu
         numbers |= {"batch_s": smoothed.seconds, "batch_iterations": smoothed.solution.iterations}
-        if drive.true_world_T_imu is not None:
+        if drive.has_truth:
             numbers |= _errors(drive, poses, "batch_")
             world_T_cam = poses @ drive.camera.imu_T_cam
             numbers["batch_drift_percent"] = metrics.kitti_drift(drive.truth_world_T_cam, world_T_cam)[0]
@@ -78,7 +78,7 @@ def _truth_beside(drive, world_T_imu):
 def _claims(drive, world_T_imu, covariance, label, suffix):
     """What a covariance (T, 6, 6) of right perturbations claims at the end, and how honest it is if there is truth."""
     numbers = {f"end_sigma_m_{label}": float(np.sqrt(np.trace(covariance[-1, :3, :3])))}
-    if drive.true_world_T_imu is not None:
+    if drive.has_truth:
         truth = _truth_beside(drive, world_T_imu)
         known = np.isfinite(truth[:, 0, 0])
         nees = metrics.pose_nees(RightPerturbation(), truth[known], world_T_imu[known], covariance[known])

@@ -154,8 +154,7 @@ def draw_trajectory(axes, world_T_imu, method, **changes):
 
 def draw_truth(axes, drive):
     """The true path in black, if the drive has one. Returns the line or None."""
-    truth = drive.true_world_T_imu
-    return None if truth is None else draw_trajectory(axes, truth, "truth", linewidth=1.2)
+    return draw_trajectory(axes, drive.true_world_T_imu, "truth", linewidth=1.2) if drive.has_truth else None
 
 
 def draw_landmarks(axes, points, method, **changes):
@@ -201,7 +200,7 @@ def trajectories(drive, estimates, title=""):
     drive : Drive. estimates : dict from a key of `style.COLOURS` to a Trajectory. Returns a Figure.
     """
     paths = [t.world_T_imu[:, :3, 3] for t in estimates.values()]
-    if drive.true_world_T_imu is not None:
+    if drive.has_truth:
         paths.append(drive.true_world_T_imu[:, :3, 3])
     figure, axes = new_map(view_with_outlines(paths, [position_outlines(t) for t in estimates.values()]))
     draw_truth(axes, drive)
@@ -225,7 +224,7 @@ def heading_band(drive, trajectory, method="dead_reckoning"):
                       label="95 % band claimed")
     axes.set(xlabel="time since start (s)", ylabel="heading error (°)", xlim=(0, t[-1] or 1))
     name = style.LABELS[method][0].upper() + style.LABELS[method][1:]
-    if drive.true_world_T_imu is None:
+    if not drive.has_truth:
         return finish(figure, f"{name} claims its heading to ±{band[-1]:.2g}° at the end")
     error = np.degrees(heading_error(drive.true_world_T_imu, trajectory.world_T_imu))
     axes.plot(t, error, color=style.COLOURS[method], label="estimated minus true heading")

@@ -28,7 +28,7 @@ def sparsity(matrices, title):
 def iterations(drive, paths, title):
     """Paths from the first iteration (light) to the last (dark), and the truth. paths : list of (T, 4, 4)."""
     shown = [p[:, :3, 3] for p in paths]
-    if drive.true_world_T_imu is not None:
+    if drive.has_truth:
         shown.append(drive.true_world_T_imu[:, :3, 3])
     figure, axes = drawing.new_map(drawing.view_around(*shown, margin=10.0))
     drawing.draw_truth(axes, drive)
@@ -47,7 +47,7 @@ def draw_batch(result, world_T_imu):
     paths = {"dead_reckoning": result.dead_reckoning.world_T_imu, method: result.slam.trajectory.world_T_imu,
              "batch": world_T_imu}
     view = [T[:, :3, 3] for T in paths.values()]
-    if result.drive.true_world_T_imu is not None:
+    if result.drive.has_truth:
         view.append(result.drive.true_world_T_imu[:, :3, 3])
     figure, axes = drawing.new_map(drawing.view_around(*view))
     drawing.draw_truth(axes, result.drive)

@@ -148,17 +148,16 @@ def _draw_some_ellipses(axes, view, belief, method):
 def _view(drive, *trajectories):
     """The map around these paths and the true one."""
     poses = [t.world_T_imu for t in trajectories]
-    if drive.true_world_T_imu is not None:
+    if drive.has_truth:
         poses.append(drive.true_world_T_imu)
     return drawing.view_around(*[T[:, :3, 3] for T in poses], margin=MARGIN)
 
 
 def _final_error(drive, trajectory):
     """Distance, m, from the truth at the last frame that has one; None without truth."""
-    truth = drive.true_world_T_imu
-    if truth is None:
+    if not drive.has_truth:
         return None
-    error = np.linalg.norm(trajectory.world_T_imu[:, :3, 3] - truth[:, :3, 3], axis=-1)
+    error = np.linalg.norm(trajectory.world_T_imu[:, :3, 3] - drive.true_world_T_imu[:, :3, 3], axis=-1)
     return error[np.isfinite(error)][-1]
 
 
@@ -176,10 +175,9 @@ def _final_claim(trajectory):
 
 def _landmark_error(drive, belief):
     """End of a title: how far the landmarks are from the truth; nothing where it is not known."""
-    truth = drive.true_landmarks
-    if truth is None:
+    if not drive.has_true_landmarks:
         return ""
-    error = np.linalg.norm(truth - belief.landmarks, axis=-1)[belief.seen]
+    error = np.linalg.norm(drive.true_landmarks - belief.landmarks, axis=-1)[belief.seen]
     return f"; {np.nanmedian(error):.2f} m from the truth (median)"
 
 

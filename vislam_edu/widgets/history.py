@@ -145,7 +145,7 @@ def from_steps(name: str, steps: Iterable[kalman.Step], drive: Drive, error_stat
     snapshots: list[Snapshot] = []
     nis, numbers = [np.nan], [0]
     for step in steps:
-        truth = None if drive.true_world_T_imu is None else drive.true_world_T_imu[step.k]
+        truth = drive.true_world_T_imu[step.k] if drive.has_truth else None
         pose = None if world_T_imu is None else world_T_imu[step.k]
         sight = look(step, drive, error_state, pose)
         value, count = frame_nis(step, drive, error_state, pose)
@@ -179,7 +179,7 @@ def from_beliefs(labels: Sequence[str], beliefs: Sequence[Any], drive: Drive, *,
     frames = [drive.n_frames - 1] * len(beliefs) if frames is None else frames
     snapshots: list[Snapshot] = []
     for i, (label, belief, k) in enumerate(zip(labels, beliefs, frames)):
-        truth = None if drive.true_world_T_imu is None else drive.true_world_T_imu[k]
+        truth = drive.true_world_T_imu[k] if drive.has_truth else None
         now = replace(of_belief(belief, error_state), label=label, time=float(i), updated=True, true_world_T_imu=truth)
         before = snapshots[-1] if snapshots else None
         if before is not None:

@@ -85,9 +85,9 @@ def pack(histories: list[History], drive, start: int, landmark: int, show: int,
 def truth(block, drive, ids, history) -> dict[str, Any]:
     """True landmarks (the known map in odometry) and path, as far as the history goes; absent without truth."""
     found = {}
-    if drive.true_landmarks is not None:
+    if drive.has_true_landmarks:
         found["landmark"] = block.put(drive.true_landmarks[ids, :2], "f4")
-    if drive.true_world_T_imu is not None:
+    if drive.has_truth:
         found["path"] = block.put(drive.true_world_T_imu[:, :2, 3], "f4")
     return found
 

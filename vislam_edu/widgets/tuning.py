@@ -68,7 +68,7 @@ class TuningPicture(Picture):
     controls = CONTROLS
 
     def __init__(self, drive, world_T_imu, noise=None):
-        if drive.true_world_T_imu is None:
+        if not drive.has_truth:
             raise ValueError("the tuning picture holds errors against the truth, which this drive has not")
         self.drive, self.world_T_imu, self.noise = drive, np.asarray(world_T_imu), noise or Noise()
         self._outcomes = {}
