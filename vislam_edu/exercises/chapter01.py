@@ -450,8 +450,8 @@ def _(angle_random_walk, velocity_density, rate):
     return _W(velocity_density, np.radians(angle_random_walk) / 3600, 1 / rate)
 
 
-@datasheet_noise.mistake("density taken for sigma", """tau^2 density^2 takes the density for the sigma of one sample. That
-sigma is density times sqrt(rate): the faster the samples, the noisier each of them.""")
+@datasheet_noise.mistake("density taken for sigma", """tau^2 density^2 takes the density for the sigma of one
+sample. That sigma is density times sqrt(rate): the faster the samples, the noisier each of them.""")
 def _(angle_random_walk, velocity_density, rate):
     return _W(velocity_density, np.radians(angle_random_walk) / 60, 1 / rate**2)
 

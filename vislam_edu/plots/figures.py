@@ -114,11 +114,13 @@ def cloud_and_outlines(truth, positions, outlines, shares):
     """
     figure, axes = drawing.new_map(drawing.view_around(truth[:, :3, 3], positions, margin=10))
     drawing.draw_trajectory(axes, truth, "truth")
-    axes.plot(*positions[:, :2].T, ".", color=style.COLOURS["prior"], markersize=2, label=f"{len(positions)} noisy runs")
+    axes.plot(*positions[:, :2].T, ".", color=style.COLOURS["prior"], markersize=2,
+              label=f"{len(positions)} noisy runs")
     axes.plot(*outlines["ellipse"].T, "--", color=style.COLOURS["slam"], label="95 %, Gaussian in x and y")
     axes.plot(*outlines["banana"].T, color=style.COLOURS["posterior"], label="95 %, Gaussian in exp coordinates")
     return drawing.finish(figure, "The ellipse should hold 95 % of the runs and holds "
-                                  f"{100 * shares['ellipse']:.0f} %; the same covariance through exp holds {100 * shares['banana']:.0f} %")
+                                  f"{100 * shares['ellipse']:.0f} %; the same covariance through exp holds "
+                                  f"{100 * shares['banana']:.0f} %")
 
 
 @style.styled

@@ -121,7 +121,8 @@ def _several_maps(drive, maps, paths, title, moved):
     drawing.draw_truth(axes, drive)
     for method, trajectory in paths.items():
         drawing.draw_trajectory(axes, trajectory.world_T_imu, method, label=f"path, {style.LABELS[method]}")
-    _draw_moves(axes, view, *(maps[method] for method in moved), style.COLOURS[moved[1]])
+    before, after = moved
+    _draw_moves(axes, view, maps[before], maps[after], style.COLOURS[after])
     return drawing.finish(figure, title)
 
 
@@ -136,7 +137,7 @@ def _draw_moves(axes, view, before, after, colour):
     middle = np.argsort(length)[len(length) // 2]
     half = max(6.0, 1.2 * length[middle])
     centre = start[middle] + move[middle] / 2
-    inset = drawing.draw_inset(axes, centre, half, (0.33, 0.33, 0.36, 0.36), "how landmarks moved (m)")
+    inset = drawing.draw_inset(axes, centre, half, (0.33, 0.33, 0.36, 0.36), "moves seen from above (m)")
     shown = np.linalg.norm(start + move / 2 - centre, ord=np.inf, axis=-1) < half
     inset.quiver(*start[shown].T, *move[shown].T, angles="xy", scale_units="xy", scale=1, width=0.012, color=colour)
 

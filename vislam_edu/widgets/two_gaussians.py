@@ -10,8 +10,8 @@ from .panels import add_axes, legend_above
 PREDICTED = 30.0  # m, where the car is predicted to be
 CONTROLS = {
     "measured": Number("milestone says (m)", 33.0, 24.0, 36.0, 0.5),
-    "sigma_predicted": Number("σ predicted (m)", 2.0, 0.3, 4.0, 0.1),
-    "sigma_measured": Number("σ measured (m)", 1.0, 0.3, 4.0, 0.1),
+    "sigma_predicted": Number("σ predicted (m)", 2.0, 0.5, 4.0, 0.1),
+    "sigma_measured": Number("σ measured (m)", 1.0, 0.5, 4.0, 0.1),
 }
 ROWS = {"predicted": COLOURS["prior"], "measured": COLOURS["measured"], "both": COLOURS["posterior"]}
 
@@ -33,13 +33,13 @@ class TwoGaussiansPicture(Picture):
     def build(self):
         """The densities above, the informations below."""
         self.densities = add_axes(self, (0.1, 0.44, 0.86, 0.4), "Where is the car?", "position along the road (m)",
-                                  "density (1/m)", xlim=(20, 40), ylim=(0, 1.5))
+                                  "density (1/m)", xlim=(20, 40), ylim=(0, 1.2))
         self.x = np.linspace(20, 40, 600)
         lines = [self.densities.plot([], [], "-", lw=1.8, color=colour, label=name)[0] for name, colour in ROWS.items()]
         self.lines = dict(zip(ROWS, self.moves(*lines)))
         legend_above(self.densities, lines)
         self.information = add_axes(self, (0.1, 0.12, 0.86, 0.14), "Information 1/σ² (1/m²): the lower bar is the sum",
-                                    xlim=(0, 23), ylim=(-0.6, 1.6), yticks=[])
+                                    xlim=(0, 8.5), ylim=(-0.6, 1.6), yticks=[])
         bars = [self.information.plot([], [], "-", lw=9, solid_capstyle="butt", color=ROWS[name])[0] for name in ROWS]
         self.bars = dict(zip(ROWS, self.moves(*bars)))
 
