@@ -451,7 +451,6 @@ def test_figures_of_the_chapters_fit_their_page_and_can_be_read(drive, result):
         figures.feature_tracks(drive, 20),
         figures.disparities(drive, 20),
         figures.two_paths_and_a_map(result.drive, result.dead_reckoning, result.slam),
-        figures.errors_over_time(drive.times, {"a": 0.1 + 0 * drive.times, "b": 1.0 + 0 * drive.times}, "Two errors"),
         figures.sigmas_over_time(trajectory),
         figures.cloud_and_outlines(truth, truth[:, :3, 3], outlines, {"ellipse": 0.7, "banana": 0.9}),
         figures.depth_law(depths, depths**2, {10.0: 100.0}),

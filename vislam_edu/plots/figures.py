@@ -78,17 +78,6 @@ def two_paths_and_a_map(drive, reckoned, joint):
 
 
 @style.styled
-def errors_over_time(times, errors, title):
-    """Position errors, on a logarithmic scale. times : (T,) s. errors : dict from a label to (T,) m, two at most."""
-    figure, axes = drawing.new_figure(height=2.6)
-    looks = ({"color": style.COLOURS["rejected"]}, {"color": style.COLOURS["predicted"], "linestyle": "--"})
-    for (label, error), look in zip(errors.items(), looks, strict=True):
-        axes.plot(times - times[0], error, label=label, **look)
-    axes.set(xlabel="time since start (s)", ylabel="position error (m)", yscale="log", ylim=(1e-3, None))
-    return drawing.finish(figure, title)
-
-
-@style.styled
 def sigmas_over_time(trajectory):
     """Standard deviations that a trajectory claims: of its position in the plane (m), of its heading (degrees).
 
