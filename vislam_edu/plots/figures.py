@@ -139,7 +139,7 @@ def landmarks_of_one_frame(drive, k, sigma_px, reach=60):
     covariance = R @ camera.triangulation_covariance(in_cam, sigma_px) @ R.T
     points, true = camera.to_world(T, in_cam), drive.true_landmarks[ids]
     near = np.linalg.norm(points[:, :2] - T[:2, 3], axis=1) < reach
-    figure, axes = drawing.new_map(drawing.view_around(true[near], T[None, :3, 3], margin=6))
+    figure, axes = drawing.new_map(drawing.view_around(true[near], T[None, :3, 3], margin=15))
     drawing.draw_ellipses(axes, points[near], covariance[near], style.COLOURS["mapping"], "95 % of a landmark")
     axes.plot(*points[near, :2].T, ".", color=style.COLOURS["mapping"], label="triangulated")
     axes.plot(*true[near, :2].T, "+", color=style.COLOURS["truth"], label="true landmark")
