@@ -202,6 +202,7 @@ def draw_inset(axes, centre, half, place, title):
     (x, y) = centre
     inset = axes.inset_axes(place, aspect="equal", xlim=(x - half, x + half), ylim=(y - half, y + half), title=title)
     inset.tick_params(labelsize=8)
+    inset.locator_params(nbins=3)
     inset.set_title(title, fontsize=9)
     inset.patch.set_alpha(0.95)
     axes.indicate_inset(inset_ax=inset, edgecolor=style.COLOURS["expected"])
