@@ -23,7 +23,7 @@ def gyro_and_truth(drive):
     axes.plot(since_start, true_twists[:, 5], color=style.COLOURS["truth"], label="true")
     axes.set(xlabel="time since start (s)", ylabel="turning rate (rad/s)")
     noise = np.std(measured - true_twists[:, 5])
-    return drawing.finish(figure, f"The rate of turn to the left, with noise of {noise:.3f} rad/s in the gyro")
+    return drawing.finish(figure, f"Rate of turn to the left; the gyro's noise is {noise:.3f} rad/s")
 
 
 @style.styled
