@@ -86,6 +86,22 @@ def test_stored_notebook(path):
     assert path.stat().st_size < LARGEST
 
 
+# A hat over the vectors whose skew or twist matrix the chapters use; their estimates have other names (mu, T).
+HAT_AS_MATRIX = re.compile(r"\\(?:wide)?hat\s*\{?\s*(?:\\(?:phi|xi|epsilon|omega|delta\\psi)|[suvp](?![a-z]))")
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS[:6], ids=lambda path: path.stem)
+def test_a_hat_is_an_estimate_and_a_wedge_a_matrix(path):
+    sources = "\n".join(cell.source for cell in nbformat.read(path, as_version=4).cells)
+    assert HAT_AS_MATRIX.findall(sources) == []
+
+
+@pytest.mark.parametrize("formula", [r"\hat\epsilon", r"\hat u_k", r"\widehat{\delta\psi}", r"\hat{v}", r"\hat p R"])
+def test_a_hat_over_a_vector_of_a_matrix_is_found(formula):
+    assert HAT_AS_MATRIX.search(formula)
+    assert not HAT_AS_MATRIX.search(r"\hat m_j, \epsilon^\wedge, \hat{T}")
+
+
 def sound():
     run = {"execution_count": 1}
     return v4.new_notebook(cells=[
