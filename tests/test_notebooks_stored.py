@@ -86,6 +86,17 @@ def test_stored_notebook(path):
     assert path.stat().st_size < LARGEST
 
 
+LINK_TO_A_FILE = re.compile(r"\]\((?!https?:|#)([^)#]+)[^)]*\)")
+
+
+@pytest.mark.parametrize("path", [*NOTEBOOKS, *sorted((ROOT / "docs").glob("*.md"))], ids=lambda path: path.stem)
+def test_a_link_leads_to_a_file(path):
+    text = path.read_text(encoding="utf-8")
+    if path.suffix == ".ipynb":
+        text = "\n".join(cell.source for cell in nbformat.reads(text, as_version=4).cells if cell.cell_type == "markdown")
+    assert [link for link in LINK_TO_A_FILE.findall(text) if not (path.parent / link).exists()] == []
+
+
 # A hat over the vectors whose skew or twist matrix the chapters use; their estimates have other names (mu, T).
 HAT_AS_MATRIX = re.compile(r"\\(?:wide)?hat\s*\{?\s*(?:\\(?:phi|xi|epsilon|omega|delta\\psi)|[suvp](?![a-z]))")
 
