@@ -160,6 +160,21 @@ def _(covariance, twist, tau, Q):
     return G @ linalg.block_diag(covariance, Q) @ G.T
 
 
+@answer("datasheet_noise")
+def _(angle_random_walk, velocity_density, rate):
+    sigma_v = velocity_density * math.sqrt(rate)
+    sigma_omega = angle_random_walk * math.pi / 180 / math.sqrt(3600) * math.sqrt(rate)
+    Q = np.diag([sigma_v**2] * 3 + [sigma_omega**2] * 3)
+    return Q / rate**2
+
+
+@answer("datasheet_noise")
+def _(angle_random_walk, velocity_density, rate):
+    per_hour = (math.pi / 180 * angle_random_walk) ** 2     # rad^2 in one hour
+    return [[(velocity_density**2 if i < 3 else per_hour / 3600) / rate if i == j else 0.0 for j in range(6)]
+            for i in range(6)]
+
+
 # --- chapter 2 --------------------------------------------------------------------------------------------
 
 @answer("bearing")

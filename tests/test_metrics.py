@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from evo.core import metrics as evo_metrics
 from evo.core.trajectory import PosePath3D
+from scipy.stats import chi2
 
 from vislam_edu import metrics, se3
 from vislam_edu.error_state import RightInvariant, RightPerturbation
@@ -184,3 +185,16 @@ def test_average_nis_is_over_measurements_not_frames_and_leaves_out_points_behin
     assert metrics.average_nis(iter(steps)) == 28
     assert np.isnan(metrics.average_nis([step_with()]))
     assert np.isnan(metrics.average_nis([]))
+
+
+def test_coverage_is_the_share_inside_the_ellipsoid():
+    """20 000 draws: 95 % within four standard errors; with a covariance four times too small, P(chi2_3 < 7.81 / 4)."""
+    rng = np.random.default_rng(2)
+    A = rng.normal(size=(3, 3))
+    P = A @ A.T + np.eye(3)
+    error = rng.multivariate_normal(np.zeros(3), P, 20_000)
+    assert metrics.coverage(error, P) == pytest.approx(0.95, abs=4 * np.sqrt(0.95 * 0.05 / 20_000))
+    small = chi2.cdf(chi2.ppf(0.95, 3) / 4, 3)
+    assert metrics.coverage(error, P / 4) == pytest.approx(small, abs=4 * np.sqrt(small * (1 - small) / 20_000))
+    with pytest.raises(ValueError, match=r"got 95"):
+        metrics.coverage(error, P, 95)

@@ -12,6 +12,27 @@ def test_the_reports_values_make_its_w_and_v_at_its_time_step():
     np.testing.assert_allclose(noise.pixel_covariance, 15 * np.eye(4))
 
 
+@pytest.mark.parametrize("rate", [5.0, 10.0, 20.0, 200.0])
+def test_a_density_gives_the_same_uncertainty_per_second_at_every_rate(rate):
+    noise = Noise.from_density(0.1, 0.02, rate, sigma_px=2.0)
+    ten_seconds = 10 * rate * noise.process_covariance(1 / rate)
+    np.testing.assert_allclose(ten_seconds, 10 * np.diag([0.1**2] * 3 + [0.02**2] * 3))
+    assert noise.sigma_px == 2.0
+
+
+def test_a_sample_is_the_mean_of_faster_samples():
+    """200 000 samples of a 100 Hz gyro, averaged by tens: sigma within four standard errors, 4 / sqrt(2 n)."""
+    fast, slow = (Noise.from_density(0.0, 0.02, rate).sigma_omega for rate in (100.0, 10.0))
+    samples = fast * np.random.default_rng(0).standard_normal((20_000, 10))
+    assert samples.mean(axis=1).std() == pytest.approx(slow, rel=4 / np.sqrt(2 * 20_000))
+
+
+@pytest.mark.parametrize("rate", [0.0, -1.0, np.inf, np.nan])
+def test_a_rate_that_is_none_is_refused(rate):
+    with pytest.raises(ValueError, match="rate must be a finite number > 0"):
+        Noise.from_density(0.1, 0.02, rate)
+
+
 @pytest.mark.parametrize(("changes", "said"), [
     ({"sigma_v": -0.1}, "Noise.sigma_v must be a finite number >= 0, got -0.1"),
     ({"sigma_omega": np.nan}, "Noise.sigma_omega must be a finite number"),

@@ -86,6 +86,34 @@ def test_stored_notebook(path):
     assert path.stat().st_size < LARGEST
 
 
+LINK_TO_A_FILE = re.compile(r"\]\((?!https?:|#)([^)#]+)[^)]*\)")
+
+
+@pytest.mark.parametrize("path", [*NOTEBOOKS, *sorted((ROOT / "docs").glob("*.md"))], ids=lambda path: path.stem)
+def test_a_link_leads_to_a_file(path):
+    text = path.read_text(encoding="utf-8")
+    if path.suffix == ".ipynb":
+        cells = nbformat.reads(text, as_version=4).cells
+        text = "\n".join(cell.source for cell in cells if cell.cell_type == "markdown")
+    assert [link for link in LINK_TO_A_FILE.findall(text) if not (path.parent / link).exists()] == []
+
+
+# A hat over the vectors whose skew or twist matrix the chapters use; their estimates have other names (mu, T).
+HAT_AS_MATRIX = re.compile(r"\\(?:wide)?hat\s*\{?\s*(?:\\(?:phi|xi|epsilon|omega|delta\\psi)|[suvp](?![a-z]))")
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS[:6], ids=lambda path: path.stem)
+def test_a_hat_is_an_estimate_and_a_wedge_a_matrix(path):
+    sources = "\n".join(cell.source for cell in nbformat.read(path, as_version=4).cells)
+    assert HAT_AS_MATRIX.findall(sources) == []
+
+
+@pytest.mark.parametrize("formula", [r"\hat\epsilon", r"\hat u_k", r"\widehat{\delta\psi}", r"\hat{v}", r"\hat p R"])
+def test_a_hat_over_a_vector_of_a_matrix_is_found(formula):
+    assert HAT_AS_MATRIX.search(formula)
+    assert not HAT_AS_MATRIX.search(r"\hat m_j, \epsilon^\wedge, \hat{T}")
+
+
 def sound():
     run = {"execution_count": 1}
     return v4.new_notebook(cells=[

@@ -6,10 +6,11 @@ import pytest
 from matplotlib.path import Path
 from scipy.stats import chi2
 
-from vislam_edu import se3, simulate
-from vislam_edu.widgets import Panel, stereo_depth, twist
+from vislam_edu import kalman, se3, simulate
+from vislam_edu.widgets import Panel, stereo_depth, twist, two_gaussians
 from vislam_edu.widgets.stereo_depth import StereoDepthPicture
 from vislam_edu.widgets.twist import TwistPicture
+from vislam_edu.widgets.two_gaussians import TwoGaussiansPicture
 
 RADIUS2 = chi2.ppf(0.95, 2)
 
@@ -18,7 +19,7 @@ RADIUS2 = chi2.ppf(0.95, 2)
 def pictures():
     """Every picture with the states in which it is looked at."""
     panels = []
-    for picture in (TwistPicture(), StereoDepthPicture()):
+    for picture in (TwistPicture(), StereoDepthPicture(), TwoGaussiansPicture()):
         start = {name: control.value for name, control in picture.controls.items()}
         ends = [
             {**start, name: getattr(control, end)}
@@ -125,3 +126,21 @@ def test_dragging_the_point_shows_its_cloud_and_its_ellipse():
         assert picture.here.get_xydata()[0] == pytest.approx([depth, np.sqrt(P[0, 0])])
         spans.append(picture.spread.get_ydata()[0])
     assert spans[1] / spans[0] == pytest.approx(4, rel=0.05)
+
+
+# --- 03 ---
+
+
+@pytest.mark.parametrize(("measured", "sigma_predicted", "sigma_measured"), [(33.0, 2.0, 1.0), (27.5, 0.4, 3.0)])
+def test_two_gaussians_make_the_kalman_update_and_their_product(measured, sigma_predicted, sigma_measured):
+    gain, mean, sigma = two_gaussians.combine(measured, sigma_predicted, sigma_measured)
+    delta, P = kalman.update(np.array([[sigma_predicted**2]]), np.eye(1), np.array([[sigma_measured**2]]),
+                             np.array([measured - 30.0]))
+    assert (mean - 30, sigma**2) == pytest.approx((delta[0], P[0, 0]))
+    assert gain == pytest.approx(delta[0] / (measured - 30))
+    picture = TwoGaussiansPicture()
+    picture.png(measured=measured, sigma_predicted=sigma_predicted, sigma_measured=sigma_measured)
+    predicted, seen, both = (picture.lines[name].get_ydata() for name in ("predicted", "measured", "both"))
+    product = predicted * seen / np.trapezoid(predicted * seen, picture.x)
+    np.testing.assert_allclose(both, product, atol=2e-3 * both.max())
+    assert picture.bars["both"].get_xdata()[1] == pytest.approx(picture.bars["measured"].get_xdata()[1])

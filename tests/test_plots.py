@@ -10,13 +10,14 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
+from matplotlib.quiver import Quiver
 
 from vislam_edu import odometry, plots, se3, window_slam
 from vislam_edu.error_state import RightInvariant, RightPerturbation
 from vislam_edu.motion import Belief
 from vislam_edu.noise import Noise
 from vislam_edu.odometry import Trajectory
-from vislam_edu.plots import report_figures, style
+from vislam_edu.plots import figures, report_figures, style
 from vislam_edu.simulate import street_loop
 from vislam_edu.studies import pipeline
 
@@ -156,7 +157,7 @@ def test_a_notebook_stores_a_figure_without_versions_and_with_its_alternative_te
     png = base64.b64decode(data["image/png"])
     assert b"Software" not in png
     assert png == print_figure(figure, metadata={"Software": None})  # what IPython would store by itself
-    assert data["text/plain"].startswith("<Figure size 750x")
+    assert data["text/plain"].startswith("<Figure size 640x")
     assert metadata == {"image/png": {"alt": "Found: 1. a line."}}
 
 
@@ -435,3 +436,68 @@ def test_heading_band_is_the_claim_and_the_line_the_error(drive):
     assert "°" in axes.get_ylabel()
     blind = drive.replace(truth_world_T_cam=None, truth_landmarks=None)
     assert not lines(plots.heading_band(blind, trajectory).axes[0])
+
+
+# --- chapters 00 to 05 ------------------------------------------------------------------------------------
+
+
+def test_figures_of_the_chapters_fit_their_page_and_can_be_read(drive, result):
+    """Each figure is 640 px wide, with its title, labels and legend inside, and holds what its chapter shows."""
+    truth, trajectory = drive.true_world_T_imu, result.dead_reckoning
+    outlines = {name: np.array([[0.0, 0.0], [5.0, 0.0], [5.0, 5.0]]) for name in ("ellipse", "banana")}
+    depths = np.geomspace(4, 150, 50)
+    drawn = [
+        figures.gyro_and_truth(drive),
+        figures.feature_tracks(drive, 20),
+        figures.disparities(drive, 20),
+        figures.two_paths_and_a_map(result.drive, result.dead_reckoning, result.slam),
+        figures.sigmas_over_time(trajectory),
+        figures.cloud_and_outlines(truth, truth[:, :3, 3], outlines, {"ellipse": 0.7, "banana": 0.9}),
+        figures.depth_law(depths, depths**2, {10.0: 100.0}),
+        figures.landmarks_of_one_frame(drive, 20, 0.7),
+        figures.nis_histogram(np.linspace(0, 12, 100), 13.28),
+        figures.jacobian_pattern(np.eye(8, 18)),
+    ]
+    for figure in drawn:
+        FigureCanvasAgg(figure).draw()
+        box = figure.get_tightbbox()
+        assert box.x0 > -0.05, figure.axes[0].get_title("left")
+        assert box.x1 < plots.WIDTH + 0.05, figure.axes[0].get_title("left")
+        picture_checks.is_large_enough(figure)
+
+
+def test_figures_of_the_chapters_hold_the_data(drive, result):
+    ids, pixels = drive.observed(20)
+    axes = figures.feature_tracks(drive, 20).axes[0]
+    np.testing.assert_array_equal(axes.lines[0].get_xydata(), pixels[:, :2])
+    tracks = axes.collections[0].get_segments()
+    assert len(tracks) == len(ids)
+    np.testing.assert_array_equal([track[-1] for track in tracks], pixels[:, :2])
+    axes = figures.sigmas_over_time(result.dead_reckoning).axes[0]
+    P = plots.position_covariance(result.dead_reckoning)
+    np.testing.assert_allclose(labelled(axes, "position")[:, 1]**2, (P[:, 0, 0] + P[:, 1, 1]) / 2)
+    axes = figures.landmarks_of_one_frame(drive, 20, 0.7, reach=1000).axes[0]
+    np.testing.assert_array_equal(labelled(axes, "true landmark"), drive.true_landmarks[ids, :2])
+    assert len(outlines(axes)[0].get_segments()) == len(ids)
+
+
+@pytest.mark.parametrize(("name", "before", "after"), [
+    ("fig4_initial_and_mapped_landmarks", "initial", "mapped"), ("fig7_all_landmarks", "mapped", "slam")])
+def test_inset_has_an_arrow_for_each_landmark_that_moved_there(result, name, before, after):
+    beliefs = {"initial": result.initial, "mapped": result.mapped.map, "slam": result.slam.map}
+    axes = report_figures.FIGURES[name](result).axes[0]
+    [inset] = axes.child_axes
+    [arrows] = [c for c in inset.collections if isinstance(c, Quiver)]
+    starts, moves = np.column_stack([arrows.X, arrows.Y]), np.column_stack([arrows.U, arrows.V])
+    assert len(starts) >= 3
+    for start, move in zip(starts, moves):
+        i = np.argmin(np.linalg.norm(beliefs[before].landmarks[:, :2] - start, axis=1))
+        np.testing.assert_allclose(start + move, beliefs[after].landmarks[i, :2])
+
+
+def test_a_table_aligns_its_columns(capsys):
+    plots.table({"name": "", "sigma (m)": ".2f", "n": "d"}, [("a", 1.5, 10), ("longer", 20.25, 7)])
+    assert capsys.readouterr().out.splitlines() == [
+        "name     sigma (m)    n", "a             1.50   10", "longer       20.25    7"]
+    with pytest.raises(ValueError, match="zip"):
+        plots.table({"a": ""}, [(1, 2)])

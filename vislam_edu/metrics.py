@@ -174,6 +174,16 @@ def nees(error: np.ndarray, covariance: np.ndarray) -> np.ndarray:
     return np.sum(whitened**2, axis=-1)
 
 
+def coverage(error: np.ndarray, covariance: np.ndarray, probability: float = 0.95) -> float:
+    """Share of the errors that lie inside their ellipsoid of this probability; an honest filter has that share.
+
+    error : (N, n). covariance : (N, n, n), positive definite. Raises ValueError for a probability outside (0, 1).
+    """
+    if not 0 < probability < 1:
+        raise ValueError(f"an ellipsoid holds a probability in (0, 1), got {probability!r}")
+    return float(np.mean(nees(error, covariance) < chi2.ppf(probability, np.shape(error)[-1])))
+
+
 @dataclass(frozen=True, eq=False)
 class PoseNees:
     """NEES (...) of the whole pose (6 degrees of freedom), its rotation (3) and its position (3) alone."""

@@ -6,6 +6,7 @@ np.float64(1e-06)
 """
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -19,7 +20,7 @@ class Noise:
     """Standard deviations of the sensors, and the covariance of the pose at the start.
 
     sigma_v : m/s, white noise on each axis of one linear-velocity sample.
-    sigma_omega : rad/s, the same for the gyro.
+    sigma_omega : rad/s, the same for the gyro. Both belong to one sampling rate, see `from_density`.
     sigma_px : px, white noise on each of the four numbers of a stereo measurement.
     initial_pose_covariance : (6, 6), order [position m, rotation rad], of the filter's own pose error at the start:
         in the body frame for a right perturbation, in the world frame for the right-invariant error. At the identity,
@@ -62,13 +63,34 @@ class Noise:
         """
         return cls(sigma_v=1e-4**0.5 / tau, sigma_omega=1e-7**0.5 / tau, sigma_px=15**0.5)
 
+    @classmethod
+    def from_density(cls, velocity_density: float, gyro_density: float, rate: float, **others: Any) -> "Noise":
+        """The noise of one sample of an IMU whose datasheet gives noise densities.
+
+        velocity_density : m/s/sqrt(Hz). gyro_density : rad/s/sqrt(Hz). rate : Hz, samples per second.
+        others : fields of `Noise` that keep their meaning, sigma_px for example.
+
+        One sample is the mean of white noise over 1/rate seconds, so sigma = density sqrt(rate). A step of
+        tau = 1/rate then has W = tau^2 sigma^2 = tau density^2: the same uncertainty per second at every rate.
+        A density per root hertz and a random walk per root second are the same number.
+        Raises ValueError for a rate that is not a positive finite number, and as `Noise` does.
+        Source: the IMU noise model of Kalibr; IEEE Std 952-1997, annex C (Allan variance).
+        """
+        if not np.isfinite(rate) or rate <= 0:
+            raise ValueError(f"rate must be a finite number > 0, got {rate!r}")
+        return cls(sigma_v=velocity_density * rate**0.5, sigma_omega=gyro_density * rate**0.5, **others)
+
     @property
     def twist_covariance(self) -> np.ndarray:
         """(6, 6), (m/s)^2 and (rad/s)^2: covariance of one IMU sample."""
         return np.diag([self.sigma_v**2] * 3 + [self.sigma_omega**2] * 3)
 
     def process_covariance(self, tau: float) -> np.ndarray:
-        """W (6, 6) of one step of `tau` seconds: white noise per sample moves the pose by tau times itself."""
+        """W (6, 6) of one step of `tau` seconds: white noise per sample moves the pose by tau times itself.
+
+        The noise is that of one sample, so tau is the time between samples; at another rate the samples have
+        another noise (`from_density`).
+        """
         return tau**2 * self.twist_covariance
 
     @property

@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.linalg import block_diag
 
-from .. import odometry, se3
+from .. import noise, odometry, se3
 from .exercise import exercise
 from .inputs import random_covariance, random_pose
 
@@ -407,3 +407,72 @@ def _(covariance, twist, tau, Q):
 @predict_covariance.mistake("no noise added", "Without B Q B^T the filter never becomes less sure.")
 def _(covariance, twist, tau, Q):
     return _predicted(covariance, twist, tau, Q, B=np.zeros((6, 6)))
+
+
+def datasheets(rng):
+    for rate in (10.0, 50.0, 200.0):
+        yield f"{rate:g} Hz", (0.66, 0.02, rate)
+    for _ in range(4):
+        yield "random", (rng.uniform(0.05, 3.0), rng.uniform(0.01, 0.5), rng.uniform(5.0, 400.0))
+
+
+def _W(velocity_density, gyro_density, tau):
+    return tau * np.diag([velocity_density**2] * 3 + [gyro_density**2] * 3)
+
+
+@exercise(chapter=1, cases=datasheets, shows=[noise.Noise.from_density, noise.Noise.process_covariance], hints=[
+    """First the units: a random walk in degrees per root hour becomes radians per root second, and one hour has 3600
+    seconds. Then sigma of one sample is density times sqrt(rate).""",
+    "With n = np.radians(angle_random_walk) / 60 and tau = 1 / rate: W = tau * diag(density^2 x3, n^2 x3)."])
+def datasheet_noise(angle_random_walk, velocity_density, rate):
+    """Process noise W of one IMU step, from a datasheet.
+
+    angle_random_walk : degrees per root hour, of the gyro. velocity_density : m/s per root hertz. rate : Hz,
+    samples per second; a step lasts 1 / rate. Returns (6, 6), order [position m, rotation rad], with J_r = I.
+    """
+    return _W(velocity_density, np.radians(angle_random_walk) / 60, 1 / rate)
+
+
+@datasheet_noise.mistake("degrees", "The datasheet gives degrees, W wants radians: np.radians.")
+def _(angle_random_walk, velocity_density, rate):
+    return _W(velocity_density, angle_random_walk / 60, 1 / rate)
+
+
+@datasheet_noise.mistake("per root hour taken for per root second", """The unit is degrees per root *hour*: divide by
+sqrt(3600) = 60.""")
+def _(angle_random_walk, velocity_density, rate):
+    return _W(velocity_density, np.radians(angle_random_walk), 1 / rate)
+
+
+@datasheet_noise.mistake("divided by 3600", """An hour has 3600 seconds, but the unit is per *root* hour: divide by
+sqrt(3600) = 60.""")
+def _(angle_random_walk, velocity_density, rate):
+    return _W(velocity_density, np.radians(angle_random_walk) / 3600, 1 / rate)
+
+
+@datasheet_noise.mistake("density taken for sigma", """tau^2 density^2 takes the density for the sigma of one
+sample. That sigma is density times sqrt(rate): the faster the samples, the noisier each of them.""")
+def _(angle_random_walk, velocity_density, rate):
+    return _W(velocity_density, np.radians(angle_random_walk) / 60, 1 / rate**2)
+
+
+@datasheet_noise.mistake("rate squared", """sigma of one sample is density times sqrt(rate), so its variance has the
+rate once, not squared.""")
+def _(angle_random_walk, velocity_density, rate):
+    return _W(velocity_density, np.radians(angle_random_walk) / 60, 1.0)
+
+
+@datasheet_noise.mistake("covariance of a sample", """This is the covariance of one IMU sample, Q. W is that of one step
+of the pose: tau^2 Q.""")
+def _(angle_random_walk, velocity_density, rate):
+    return _W(velocity_density, np.radians(angle_random_walk) / 60, rate)
+
+
+@datasheet_noise.mistake("not squared", "W holds variances: square the densities.")
+def _(angle_random_walk, velocity_density, rate):
+    return np.diag([velocity_density] * 3 + [np.radians(angle_random_walk) / 60] * 3) / rate
+
+
+@datasheet_noise.mistake("rotation and translation swapped", "The order is [position, rotation]: velocity first.")
+def _(angle_random_walk, velocity_density, rate):
+    return np.roll(datasheet_noise.reference(angle_random_walk, velocity_density, rate), 3, axis=(0, 1))

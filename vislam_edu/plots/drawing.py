@@ -18,10 +18,10 @@ from scipy.stats import norm
 from .. import se3
 from . import style
 
-WIDTH = 7.5  # inches, of every figure
-_AXES_LEFT, _AXES_WIDTH = 0.75, 6.6  # inches, the same in every figure, so that pictures line up on a page
-_MAP_HEIGHTS = (3.0, 6.4)  # inches, least and greatest height of a map's axes
-_TITLE_CHARACTERS = 78  # of a line above the axes
+WIDTH = 6.4  # inches, of every figure: 640 px
+_AXES_LEFT, _AXES_WIDTH = 0.75, 5.5  # inches, the same in every figure, so that pictures line up on a page
+_MAP_HEIGHTS = (3.0, 5.4)  # inches, least and greatest height of a map's axes
+_TITLE_CHARACTERS = 64  # of a line above the axes
 _LINE = 0.2  # inches, a line of a title or a legend
 _LEGEND_HANDLE, _LEGEND_CHARACTER = 0.6, 0.063  # inches
 TWO_SIDED_95 = float(norm.ppf(0.975))
@@ -48,6 +48,11 @@ def heading_sigma(trajectory):
     """(T,) rad, standard deviation of the rotation about the world's z axis."""
     z = trajectory.world_T_imu[:, 2, :3]  # the world's z axis in the body frame
     return np.sqrt(np.einsum("ki,kij,kj->k", z, trajectory.covariance[:, 3:, 3:], z))
+
+
+def plane_sigma(trajectory):
+    """(T,) m, standard deviation of the position in the plane: root of the mean of the variances of x and y."""
+    return np.sqrt(np.trace(position_covariance(trajectory)[:, :2, :2], axis1=1, axis2=2) / 2)
 
 
 def view_around(*positions, margin=30.0):
@@ -188,6 +193,19 @@ def draw_ellipses(axes, means, covariances, colour, label="95 % ellipses"):
     outlines = style.ellipse_points(means[:, :2], covariances[:, :2, :2])
     return axes.add_collection(LineCollection(outlines, colors=colour, linewidths=0.9, label=label),
                                autolim=False)
+
+
+def draw_inset(axes, centre, half, place, title):
+    """A magnified square of a map. centre : (2,), m. half : m, half its side. place : (x, y, width, height) as shares
+    of the axes. Returns its axes, which hold nothing yet; a frame in the map shows where it is."""
+    (x, y) = centre
+    inset = axes.inset_axes(place, aspect="equal", xlim=(x - half, x + half), ylim=(y - half, y + half), title=title)
+    inset.tick_params(labelsize=8)
+    inset.locator_params(nbins=3)
+    inset.set_title(title, fontsize=9)
+    inset.patch.set_alpha(0.95)
+    axes.indicate_inset(inset_ax=inset, edgecolor=style.COLOURS["expected"])
+    return inset
 
 
 # --- figures that any chapter can use ---------------------------------------------------------------------

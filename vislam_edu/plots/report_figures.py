@@ -47,7 +47,7 @@ def initial_and_mapped_landmarks(drive, dead_reckoning, initial, mapped):
     title = (f"The mapping EKF moves a landmark by {_median_move(initial, mapped.map):.1f} m "
              "(median); the path stays as it was")
     maps = {"dead_reckoning": initial, "mapping": mapped.map}
-    return _several_maps(drive, maps, {"dead_reckoning": dead_reckoning}, title)
+    return _several_maps(drive, maps, {"dead_reckoning": dead_reckoning}, title, moved=("dead_reckoning", "mapping"))
 
 
 @style.styled
@@ -80,7 +80,7 @@ def all_landmarks(drive, dead_reckoning, initial, mapped, slam):
     method = slam.method
     maps = {"dead_reckoning": initial, "mapping": mapped.map, method: slam.map}
     paths = {"dead_reckoning": dead_reckoning, method: slam.trajectory}
-    return _several_maps(drive, maps, paths, title)
+    return _several_maps(drive, maps, paths, title, moved=("mapping", method))
 
 
 FIGURES = {  # name of the file: the figure of a `pipeline.Result`
@@ -109,8 +109,11 @@ def _one_map(drive, belief, method, trajectory, path, title):
     return drawing.finish(figure, title + _landmark_error(drive, belief))
 
 
-def _several_maps(drive, maps, paths, title):
-    """Maps over each other, later ones in smaller dots so that the earlier ones show, and the paths."""
+def _several_maps(drive, maps, paths, title, moved):
+    """Maps over each other, later ones in smaller dots so that the earlier ones show, and the paths.
+
+    moved : two keys of `maps`; a magnified inset has an arrow from each landmark of the first to that of the second.
+    """
     view = _view(drive, *paths.values())
     figure, axes = drawing.new_map(view)
     for size, (method, belief) in zip((5, 3, 2.5), maps.items()):
@@ -118,7 +121,25 @@ def _several_maps(drive, maps, paths, title):
     drawing.draw_truth(axes, drive)
     for method, trajectory in paths.items():
         drawing.draw_trajectory(axes, trajectory.world_T_imu, method, label=f"path, {style.LABELS[method]}")
+    before, after = moved
+    _draw_moves(axes, view, maps[before], maps[after], style.COLOURS[after])
     return drawing.finish(figure, title)
+
+
+def _draw_moves(axes, view, before, after, colour):
+    """An inset around the landmark whose move is the median one, with an arrow for each landmark's move."""
+    both = np.flatnonzero(before.seen & after.seen)
+    both = both[drawing.inside(view, before.landmarks[both]) & drawing.inside(view, after.landmarks[both])]
+    if not len(both):
+        return
+    start, move = before.landmarks[both, :2], (after.landmarks - before.landmarks)[both, :2]
+    length = np.linalg.norm(move, axis=-1)
+    middle = np.argsort(length)[len(length) // 2]
+    half = max(6.0, 1.2 * length[middle])
+    centre = start[middle] + move[middle] / 2
+    inset = drawing.draw_inset(axes, centre, half, (0.33, 0.33, 0.36, 0.36), "moves seen from above (m)")
+    shown = np.linalg.norm(start + move / 2 - centre, ord=np.inf, axis=-1) < half
+    inset.quiver(*start[shown].T, *move[shown].T, angles="xy", scale_units="xy", scale=1, width=0.012, color=colour)
 
 
 def _draw_landmarks(axes, view, belief, method, **looks):

@@ -198,6 +198,19 @@ def two_digits(x) -> str:
     return f"{float(f'{x:.2g}'):g}"
 
 
+def table(columns, rows) -> None:
+    """Print a table: the first column to the left, the others to the right.
+
+    columns : dict from each heading to the format of its values, as in f"{value:.2f}". rows : one value a column.
+    """
+    lines = [list(columns)]
+    lines += [[format(value, form) for value, form in zip(row, columns.values(), strict=True)] for row in rows]
+    widths = [max(map(len, column)) for column in zip(*lines)]
+    for first, *others in lines:
+        texts = [first.ljust(widths[0]), *(text.rjust(width) for text, width in zip(others, widths[1:]))]
+        print("   ".join(texts).rstrip())
+
+
 def on_a_page(text) -> str:
     """A text whose long lines are broken between words, as JupyterLab would break them anywhere."""
     broken = []

@@ -34,6 +34,7 @@ class StereoDepthPicture(Picture):
     """
 
     name = "a point dragged in depth"
+    size = (6.4, 4.6)
     controls = CONTROLS
 
     def __init__(self, camera=None, seed=0):
@@ -42,12 +43,12 @@ class StereoDepthPicture(Picture):
         super().__init__()
 
     def build(self):
-        """Images on the left, from above and the law of depth on the right."""
-        self.images = [self._build_image(side, bottom) for side, bottom in (("Left", 0.59), ("Right", 0.12))]
+        """Images above, the cloud from above and the law of depth below."""
+        self.images = [self._build_image(side, left) for side, left in (("Left", 0.06), ("Right", 0.56))]
         self.above = add_axes(
             self,
-            (0.57, 0.57, 0.42, 0.33),
-            "From above (sideways stretched): triangulated cloud",
+            (0.09, 0.11, 0.39, 0.34),
+            "From above, sideways stretched",
             "forward (m)",
             "to the right (m)",
             xlim=(0, 110),
@@ -59,12 +60,12 @@ class StereoDepthPicture(Picture):
         (self.ellipse,) = self.above.plot([], [], "-", lw=1.6, color=COLOURS["posterior"], label="95 % ellipse")
         (self.point,) = self.above.plot([], [], "+", ms=7, mew=1.2, color=COLOURS["truth"], label="true point")
         self.moves(self.rays, self.cloud, self.ellipse, self.point)
-        legend_above(self.above, [self.cloud, self.ellipse, self.point])
+        legend_above(self.above, [self.cloud, self.ellipse, self.point], lines=2)
 
         self.law = add_axes(
             self,
-            (0.57, 0.1, 0.42, 0.3),
-            "Standard deviation of the depth (m)",
+            (0.57, 0.11, 0.4, 0.43),
+            "Standard deviation of depth (m)",
             "depth (m)",
             "",
             xlim=(0, FAR + 3),
@@ -83,16 +84,19 @@ class StereoDepthPicture(Picture):
         self.moves(self.curve, self.here, self.spread)
         legend(self.law, [self.curve, self.here, self.spread], columns=1, loc="upper left")
 
-    def _build_image(self, side, bottom):
+    def _build_image(self, side, left):
         """One camera's image, with the noise around its pixel magnified beside it."""
-        axes = image_axes(self, (0.045, bottom, 0.29, 0.28), f"{side} image (px)")
+        axes = image_axes(self, (left, 0.72, 0.25, 0.22), f"{side} image (px)")
+        axes.set_xticks([0, 600, 1200])
         (pixel,) = axes.plot([], [], "o", ms=5, color=COLOURS["measured"])
         zoom = add_axes(
             self,
-            (0.375, bottom + 0.02, 0.11, 0.22),
+            (left + 0.3, 0.75, 0.13, 0.17),
             "noise (px)",
             xlim=(-ZOOM, ZOOM),
             ylim=(ZOOM, -ZOOM),
+            xticks=[-3, 0, 3],
+            yticks=[-3, 0, 3],
             aspect="equal",
             facecolor="0.97",
         )

@@ -156,6 +156,7 @@ class TwistPicture(Picture):
     """
 
     name = "a twist integrated"
+    size = (6.4, 4.3)
     controls = CONTROLS
 
     def __init__(self, seed=0):
@@ -167,7 +168,7 @@ class TwistPicture(Picture):
         """The view in space on the left, the view from above on the right."""
         self.space = add_axes(
             self,
-            (0.01, 0.05, 0.48, 0.8),
+            (0.01, 0.06, 0.48, 0.72),
             "In space: the frame along its screw",
             xticks=[],
             yticks=[],
@@ -194,8 +195,8 @@ class TwistPicture(Picture):
 
         self.above = add_axes(
             self,
-            (0.56, 0.1, 0.37, 0.74),
-            "From above: where noise on v x, v y, ω z may put it",
+            (0.58, 0.12, 0.4, 0.64),
+            "From above: noise on v x, v y, ω z",
             "x (m)",
             "y (m)",
             aspect="equal",
@@ -203,9 +204,9 @@ class TwistPicture(Picture):
         )
         (self.cloud,) = self.above.plot([], [], ".", ms=2.5, color="0.55", label=f"{PARTICLES} noisy runs")
         (self.mean_path,) = self.above.plot([], [], "-", lw=1.2, color=COLOURS["truth"], label="exp")
-        (self.plane,) = self.above.plot([], [], "--", lw=1.6, color=COLOURS["slam"], label="95 %: Gaussian in x, y")
+        (self.plane,) = self.above.plot([], [], "--", lw=1.6, color=COLOURS["slam"], label="95 % in x, y")
         (self.banana,) = self.above.plot(
-            [], [], "-", lw=1.8, color=COLOURS["posterior"], label="95 %: in exp coordinates"
+            [], [], "-", lw=1.8, color=COLOURS["posterior"], label="95 % in exp"
         )
         self.moves(self.cloud, self.mean_path, self.plane, self.banana)
         legend_above(self.above, [self.cloud, self.mean_path, self.plane, self.banana], lines=2, x=-0.12)
@@ -253,7 +254,7 @@ class TwistPicture(Picture):
         xs, ys = (np.arange(a, b + cell / 2, cell) for a, b in zip(low, high))
         lines = [[(x, low[1], 0), (x, high[1], 0)] for x in xs] + [[(low[0], y, 0), (high[0], y, 0)] for y in ys]
         self.ground.set_segments(np.array(lines) @ VIEW.T)
-        self.grid.set_text(f"ground: squares of {cell:g} m; axes x red, y green, z blue")
+        self.grid.set_text(f"squares of {cell:g} m; x red, y green, z blue")
 
     def _draw_above(self, outcome):
         self.banana.set_data(*outcome.banana.T)
