@@ -236,11 +236,16 @@ def test_interrupted_run_leaves_things_as_they_were(where, recording, tmp_path, 
     assert (old / "summary.json").read_text() == "from before"
 
 
+def listen_to_ctrl_c():
+    """A test run in the background has inherited a shell's "ignore Ctrl-C"; a program started by hand has not."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
 def test_ctrl_c_stops_the_program(tmp_path):
     recordings.save(street_loop(seed=6, frames=500), tmp_path / "long.npz")
     process = subprocess.Popen(
         [sys.executable, "-m", "vislam_edu", "run", "long.npz", "--out", "out"], cwd=tmp_path,
-        stderr=subprocess.PIPE, text=True)
+        stderr=subprocess.PIPE, text=True, preexec_fn=listen_to_ctrl_c if os.name == "posix" else None)
     deadline = time.monotonic() + 60
     while not list(tmp_path.glob("out/.part-*")):  # it works from here on, for seconds
         assert time.monotonic() < deadline

@@ -16,6 +16,7 @@ from typing import NoReturn
 BAD_INPUT, INTERRUPTED = 2, 130
 
 COMMANDS = {  # each a module of this package: what it does
+    "start": "copy the notebooks into a folder and open them",
     "run": "the report's pipeline over a recording: figures, trajectories, numbers",
     "info": "what is in a recording",
     "audit": "compare a recording's sensors with each other, before it is filtered",
@@ -63,6 +64,8 @@ def main(argv=None) -> int:
         return _stopped("interrupted; nothing was written", INTERRUPTED)
     except OSError as error:
         message = f"{error.filename2 or error.filename or 'output'}: {error.strerror or error}"
+    except ModuleNotFoundError as error:
+        message = f"this needs {error.name}, which is not installed: python -m pip install {error.name}"
     except MemoryError:
         message = "not enough memory for this; give a smaller recording or fewer landmarks (--every)"
     except Exception as error:  # the last resort: every kind of bad input should have its own sentence

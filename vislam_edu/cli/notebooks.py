@@ -194,7 +194,7 @@ def run(arguments) -> int:
         raise OptionError(f"no notebooks in {NOTEBOOKS}; name the ones to run")
     for module in ("nbformat", "nbclient", "ipykernel"):
         if importlib.util.find_spec(module) is None:
-            raise OptionError(f"{module} is needed to run notebooks: python -m pip install -r environment.txt")
+            raise OptionError(f"{module} is needed to run notebooks: python -m pip install {module}")
     seconds, changed, failed = {}, 0, 0
     for outcome in _run_all(paths):
         if isinstance(outcome, NotebookError):

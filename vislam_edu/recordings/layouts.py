@@ -10,12 +10,11 @@ from scipy.spatial.transform import Rotation
 from .. import se3
 from ..drive import Drive, DriveError
 from ..stereo import StereoCamera
-from . import files
+from . import files, shipped
 from .features import drive_from_features, drive_from_pieces
 
 _FORMAT = "vislam_edu drive 1"
 _LARGEST_TEXT = 64 << 20  # bytes of a ground truth file: a hundred thousand poses take 25 MB
-_PROJECT = Path(__file__).resolve().parents[2]
 
 
 def load(name) -> Drive:
@@ -57,8 +56,8 @@ def save(drive, path):
 
 
 def folders() -> list[Path]:
-    """Where `find` looks, in this order: the project's data/, the working directory, ../shared/data."""
-    return [_PROJECT / "data", Path.cwd(), _PROJECT.parent / "shared" / "data"]
+    """Where `find` looks, in this order: the package's own data/, the working directory, ../shared/data."""
+    return [shipped.ROOT / "data", Path.cwd(), shipped.ROOT.parent / "shared" / "data"]
 
 
 def find(name) -> Path | None:
