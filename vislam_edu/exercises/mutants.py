@@ -216,12 +216,14 @@ def _of_operation(node, text) -> Iterator[tuple[int, str, ast.AST]]:
         yield 1, f"without the term `{left}` in `{text}`", node.right if isinstance(node.op, ast.Add) else \
             ast.UnaryOp(ast.USub(), node.right)
         if isinstance(node.op, ast.Sub):
-            yield 0, _instead(text, f"{right} - {left}"), ast.BinOp(node.right, node.op, node.left)
+            swapped = ast.BinOp(node.right, node.op, node.left)
+            yield 0, _instead(text, ast.unparse(swapped)), swapped
     if isinstance(node.op, ast.Mult | ast.MatMult):
         yield 1, f"without `{right}` in `{text}`", node.left
         yield 1, f"without `{left}` in `{text}`", node.right
     if isinstance(node.op, ast.MatMult):
-        yield 2, _instead(text, f"{right} @ {left}"), ast.BinOp(node.right, node.op, node.left)
+        swapped = ast.BinOp(node.right, node.op, node.left)
+        yield 2, _instead(text, ast.unparse(swapped)), swapped
         yield 4, f"with `*` in place of `@` in `{text}`", ast.BinOp(node.left, ast.Mult(), node.right)
     if isinstance(node.op, ast.Mult):
         yield 4, f"with a division in place of the product `{text}`", ast.BinOp(node.left, ast.Div(), node.right)
