@@ -77,9 +77,9 @@ class Search:
     def done(self) -> bool:
         return bool(self.joint) or bool(self.wrong) and all(self.found.values())
 
-    def run(self) -> None:
-        """All levels, the simple ones first; ends with the first that explains everything."""
-        for level in (self._mutants, self._arguments, self._results, self._two):
+    def run(self, simple: bool) -> None:
+        """The levels, the simplest first; ends with the first that explains everything."""
+        for level in (self._mutants, self._arguments, self._results, self._two)[:1 if simple else 4]:
             level()
             if self.done:
                 return
@@ -201,13 +201,16 @@ def same(exercise, outcome, values) -> list[bool]:
     return [a.shape == np.shape(b) and close(a, np.asarray(b), tolerance) for a, b in zip(came, should)]
 
 
-def explain(exercise, cases, outcomes, expected) -> list[str]:
-    """Words for what gives an answer's numbers, each finishing "your result is what one gets ..."; [] if not found."""
+def explain(exercise, cases, outcomes, expected, simple=False) -> list[str]:
+    """Words for what gives an answer's numbers, each finishing "your result is what one gets ..."; [] if not found.
+
+    simple : only one change in the plain answer.
+    """
     search = Search(exercise, cases, outcomes, expected)
 
     def work():
         with np.errstate(all="ignore"):
-            search.run()
+            search.run(simple)
 
     if search.wrong:
         within(work, LIMIT)
