@@ -5,6 +5,7 @@ changed result; then two of these at once. A candidate explains a result when it
 Several results (a mean and a covariance, say) may have explanations of their own.
 """
 
+import contextlib
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
@@ -90,7 +91,8 @@ class Search:
 
     def _arguments(self) -> None:
         for words, change in transforms.argument_changes(self.exercise.arguments, self.cases[self.probe][1]):
-            self.offer(words, _after(self.exercise.reference, change), keep=True)
+            for answer in [self.exercise.reference, *mutants.plain_answers(self.exercise.name)]:
+                self.offer(words, _after(answer, change), keep=True)
 
     def _results(self) -> None:
         """The right result changed, or equal to an argument; then wrong results changed."""
@@ -156,7 +158,7 @@ class Search:
     def _two(self) -> None:
         changes = list(transforms.argument_changes(self.exercise.arguments, self.cases[self.probe][1]))
         pieces = [(f"with this mistake: {piece.name}", piece.function) for piece in self.exercise.mistakes]
-        for words, function in [*pieces, *((words, change) for words, change, _ in self.level[:0])]:
+        for words, function in pieces:
             for further, change in changes:
                 self.offer(f"{words}; and {further}", _after(function, change))
         if self.done:
@@ -197,7 +199,8 @@ def same(exercise, outcome, values) -> list[bool]:
     tolerance = exercise.tolerance if outcome.precise else ROUGH
     came, should = outcome.values, values
     if all(a.shape == np.shape(b) for a, b in zip(came, should)):
-        came, should = canonical(exercise, came), canonical(exercise, should)
+        with contextlib.suppress(ValueError, IndexError):  # made for results of the right shape
+            came, should = canonical(exercise, came), canonical(exercise, should)
     return [a.shape == np.shape(b) and close(a, np.asarray(b), tolerance) for a, b in zip(came, should)]
 
 

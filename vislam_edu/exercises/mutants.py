@@ -53,9 +53,14 @@ def pairs(name: str) -> tuple[tuple[str, Callable[[], Callable]], ...]:
     return tuple(found)
 
 
-def _plain(name) -> list[str]:
-    return [inspect.getsource(function) for key, function in vars(plain).items()
+def plain_answers(name: str) -> list[Callable]:
+    """The plain answers to an exercise: the function of its name, and name__otherwise where two are usual."""
+    return [function for key, function in vars(plain).items()
             if key.split("__")[0] == name and inspect.isfunction(function)]
+
+
+def _plain(name) -> list[str]:
+    return [inspect.getsource(function) for function in plain_answers(name)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -251,6 +256,11 @@ def _of_call(node, text) -> Iterator[tuple[int, str, ast.AST]]:
     for pattern in _REWRITTEN.get(function, []):
         new = "".join({"X": f"({arguments[0]})", "Y": f"({arguments[-1]})"}.get(letter, letter) for letter in pattern)
         yield 4, _instead(text, ast.unparse(_expression(new))), _expression(new)
+    if len(arguments) == 2 and arguments[0] != arguments[1]:
+        new = ast.Call(node.func, node.args[::-1], node.keywords)
+        yield 4, _instead(text, ast.unparse(new)), new
+    if function == "np.kron":
+        yield 4, _instead(text, f"np.tile({arguments[1]}, (n, n))"), _expression(f"np.tile({arguments[1]}, (n, n))")
     if function == "np.array" or function == "np.diag":
         yield 4, f"with `np.abs` of `{text}`", _expression(f"np.abs({text})")
     if ".reshape" in function and arguments == ["-1", "3"]:

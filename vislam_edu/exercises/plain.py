@@ -102,6 +102,14 @@ def triangulate_bearings(K, uv1, uv2, R, p):
     return depth * z1
 
 
+def triangulate_bearings__least_squares(K, uv1, uv2, R, p):
+    z1 = stereo.bearing(K, uv1)
+    z2 = stereo.bearing(K, uv2)
+    A = np.column_stack([z1, -R @ z2])
+    depths = np.linalg.inv(A.T @ A) @ A.T @ p
+    return depths[0] * z1
+
+
 def triangulate(K, baseline, pixels):
     u_left, v_left, u_right, v_right = pixels.T
     d = u_left - u_right
@@ -131,6 +139,15 @@ def project(camera, points_cam):
     return (camera.K_s @ (q / q[2])).T
 
 
+def project__by_columns(camera, points_cam):
+    K = camera.K_s
+    x, y, z = points_cam.T
+    u_left = K[0, 0] * x / z + K[0, 2]
+    v_left = K[1, 1] * y / z + K[1, 2]
+    u_right = K[0, 0] * x / z + K[0, 2] + K[2, 3] / z
+    return np.column_stack([u_left, v_left, u_right, v_left])
+
+
 def projection_jacobian(camera, point_cam):
     x, y, z = point_cam
     D = np.array([[1 / z, 0, -x / z**2, 0],
@@ -153,6 +170,16 @@ def kalman_update(covariance, H, V, residual):
     K = covariance @ H.T @ np.linalg.inv(S)
     A = np.eye(len(covariance)) - K @ H
     return K @ residual, A @ covariance @ A.T + K @ V @ K.T
+
+
+def kalman_update__short(covariance, H, V, residual):
+    S = H @ covariance @ H.T + V
+    K = covariance @ H.T @ np.linalg.inv(S)
+    return K @ residual, (np.eye(len(covariance)) - K @ H) @ covariance
+
+
+def stacked_noise__kron(V, n):
+    return np.kron(np.eye(n), V)
 
 
 def stacked_noise(V, n):
@@ -207,6 +234,15 @@ def predict_joint(covariance, F, W):
     P[n:, n:] = F @ covariance[n:, n:] @ F.T + W
     P[:n, n:] = covariance[:n, n:] @ F.T
     P[n:, :n] = F @ covariance[n:, :n]
+    return P
+
+
+def predict_joint__whole(covariance, F, W):
+    n = len(covariance) - 6
+    A = np.eye(n + 6)
+    A[n:, n:] = F
+    P = A @ covariance @ A.T
+    P[n:, n:] += W
     return P
 
 
@@ -364,3 +400,31 @@ def merge_ids(n, pairs):
         a, b = place[new], place[old]
         place[(place == a) | (place == b)] = min(a, b)
     return place
+
+
+# --- chapters 8 to 10 -------------------------------------------------------------------------------------
+
+
+def axis_signs(gyro, seen):
+    signs = np.zeros(3)
+    for i in range(3):
+        r = np.corrcoef(gyro[:, i], seen[:, i])[0, 1]
+        if abs(r) > 0.5:
+            signs[i] = np.sign(r)
+    return signs
+
+
+def window_cost(first, last, frames):
+    window, dense = 0, 0
+    for k in range(frames):
+        seen = np.sum((first <= k) & (k <= last))
+        so_far = np.sum(first <= k)
+        window = window + 3 * seen * (3 * seen + 6)**2
+        dense = dense + 3 * seen * (3 * so_far + 6)**2
+    return window, dense
+
+
+def whiteness(innovations):
+    e = innovations - np.mean(innovations)
+    correlation = np.sum(e[1:] * e[:-1]) / np.sum(e**2)
+    return correlation, 1.96 / np.sqrt(len(e))

@@ -39,20 +39,19 @@ def judge(exercise: Exercise, function, limit=LIMIT) -> Verdict:
     if not callable(function):
         return Verdict(name, WRONG, f"{name}: give the function itself, without calling it: check.{name}({name})")
     rebound = surroundings.restored()
-    verdict = _judged(exercise, function, limit)
-    rebound = sorted({*rebound, *surroundings.restored()})
+    verdict = _judged(exercise, function, limit, rebound)
     if rebound:
-        changed = f"Your code has changed {', '.join(rebound[:4])}: put back, so that other checks still work."
+        changed = f"Your code has changed {', '.join(sorted({*rebound})[:4])}: put back, so that other checks work."
         verdict = replace(verdict, text=f"{verdict.text}\n{changed}")
     return verdict
 
 
-def _judged(exercise: Exercise, function, limit) -> Verdict:
+def _judged(exercise: Exercise, function, limit, rebound: list[str]) -> Verdict:
     name = exercise.name
     cases = exercise.inputs()
     expected = [arrays(exercise.expected(*map(copied, arguments)), exercise.outputs)[0] for _, arguments in cases]
     outcomes, ended = answers(exercise, function, cases, limit)
-    surroundings.restored()  # before anything of ours is called again
+    rebound += surroundings.restored()  # before anything of ours is called again
     if any(outcome.blank for outcome in outcomes):
         return _blank(exercise, function, outcomes)
 
