@@ -9,7 +9,9 @@ from .comparing import close
 
 def remarks(exercise, cases, outcomes, expected, sames) -> list[str]:
     """Sentences about a wrong answer; sames[i][k] says whether result k of input i is right."""
-    found = [_inputs(cases, outcomes, sames)]
+    if all(map(all, sames)):
+        return []
+    found = [_inputs(cases, sames)]
     names = exercise.outputs or ("the result",)
     always = [all(row[k] for row in sames) for k in range(len(names))]
     if any(always):
@@ -26,7 +28,7 @@ def remarks(exercise, cases, outcomes, expected, sames) -> list[str]:
     return [remark for remark in found if remark]
 
 
-def _inputs(cases, outcomes, sames) -> str:
+def _inputs(cases, sames) -> str:
     """Which inputs are right, by their labels."""
     right = Counter(label for (label, _), row in zip(cases, sames) if all(row))
     wrong = Counter(label for (label, _), row in zip(cases, sames) if not all(row))
@@ -83,7 +85,7 @@ def _entries(name, pairs, tolerance) -> list[str]:
 
 def _kind(pairs, tolerance) -> str:
     """What stands where the wrong entries are."""
-    parts = [(a[_wrong(a, b, tolerance)], b[_wrong(a, b, tolerance)]) for a, b in pairs]
+    parts = [(a[wrong_entries(a, b, tolerance)], b[wrong_entries(a, b, tolerance)]) for a, b in pairs]
     if all(not a.any() for a, _ in parts):
         return ". There your result is zero"
     if all(close(-a, b, tolerance) for a, b in parts):
@@ -93,7 +95,8 @@ def _kind(pairs, tolerance) -> str:
     return ""
 
 
-def _wrong(came, should, tolerance):
+def wrong_entries(came: np.ndarray, should: np.ndarray, tolerance: float) -> np.ndarray:
+    """Where two arrays of one shape differ by more than tolerance times the largest entry."""
     scale = np.abs(should[np.isfinite(should)]).max(initial=0.0) or 1.0
     return ~(np.abs(came - should) <= tolerance * scale)
 
@@ -102,20 +105,22 @@ def _where(pairs, tolerance) -> str:
     """The block, rows, columns or diagonal outside of which all is right, in words; "" where there is none."""
     if pairs[0][1].ndim == 0 or len({b.ndim for _, b in pairs}) > 1:
         return ""
-    masks = [_wrong(a, b, tolerance) for a, b in pairs]
+    masks = [wrong_entries(a, b, tolerance) for a, b in pairs]
     if not all(mask.any() for mask in masks):  # what differs lies in a part that is not compared
         return ""
+    words = []
+    for axis, what in zip(range(-min(pairs[0][1].ndim, 2), 0), ("row", "column")[-min(pairs[0][1].ndim, 2):]):
+        what = "entries" if pairs[0][1].ndim == 1 else what
+        words += _range(masks, axis, what)
+    if words:
+        return f" in {', '.join(words)}"
     if pairs[0][1].ndim == 2 and all(b.shape[0] == b.shape[1] > 1 for _, b in pairs):
         off = [mask & ~np.eye(len(mask), dtype=bool) for mask in masks]
         if not any(mask.any() for mask in off):
             return " on the diagonal"
         if not any(mask.diagonal().any() for mask in masks):
             return " off the diagonal" + _side(masks)
-    words = []
-    for axis, what in zip(range(-min(pairs[0][1].ndim, 2), 0), ("row", "column")[-min(pairs[0][1].ndim, 2):]):
-        what = "entries" if pairs[0][1].ndim == 1 else what
-        words += _range(masks, axis, what)
-    return f" in {', '.join(words)}" if words else ""
+    return ""
 
 
 def _side(masks) -> str:

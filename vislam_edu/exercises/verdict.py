@@ -7,6 +7,7 @@ from . import localise, museum, surroundings
 from .comparing import argument, differs
 from .exercise import Exercise, short
 from .explain import explain, same
+from .picture import Picture, picture_of
 from .running import LIMIT, answers, arrays, copied, error_message, written
 
 RIGHT, NOT_WRITTEN, WRONG = "right", "not written yet", "wrong"
@@ -19,6 +20,7 @@ class Verdict:
     status : RIGHT, NOT_WRITTEN or WRONG. text : what the student reads. mistake : its name in the museum where
     it was recognised, else words for what gives the same numbers, else "". located : what of the result is right,
     or what its numbers look like, is said. failing : the arguments of the first input that came out wrong, else None.
+    picture : of its result there, where a result has one.
     """
 
     exercise: str
@@ -27,6 +29,7 @@ class Verdict:
     mistake: str = ""
     failing: tuple | None = None
     located: bool = False
+    picture: Picture | None = None
 
     @property
     def right(self) -> bool:
@@ -99,7 +102,8 @@ def _wrong(exercise, cases, outcomes, expected, reasons) -> Verdict:
     lines.append(f"To try this input: {exercise.name}(*check.{exercise.name}.failing)")
     mistake = next((piece.name for piece in [*pieces, *([] if explanations else [guess])] if piece), "")
     return Verdict(exercise.name, WRONG, "\n".join(lines), mistake or "; ".join(explanations[:1]),
-                   tuple(map(copied, arguments)), located=bool(where) or outcomes[first].error is not None)
+                   tuple(map(copied, arguments)), located=bool(where) or outcomes[first].error is not None,
+                   picture=picture_of(exercise, outcomes[first].values or [], expected[first]))
 
 
 def _remarks(outcomes) -> str:
