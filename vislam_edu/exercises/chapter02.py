@@ -202,6 +202,13 @@ def _(K, baseline, pixels):
     return _by_disparity(K, 1.0, pixels, d), d > 0
 
 
+@triangulate.mistake("principal point forgotten", "u is counted from the corner of the image; the axis is at c_u, c_v.")
+def _(K, baseline, pixels):
+    d = pixels[:, 0] - pixels[:, 2]
+    rays = np.column_stack([pixels[:, :2] / [K[0, 0], K[1, 1]], np.ones(len(pixels))])
+    return _by_disparity(K, baseline, pixels, d, rays), d > 0
+
+
 def points_and_sigma(rng):
     yield "10 m ahead", (K.copy(), BASELINE, np.array([0.0, 0.0, 10.0]), 1.0)
     for _ in range(5):

@@ -57,6 +57,12 @@ def _(camera, points_cam):
     return np.stack([u, v, u, v], axis=-1)
 
 
+@project.mistake("principal point forgotten", "Pixels are counted from the corner of the image: add c_u and c_v.")
+def _(camera, points_cam):
+    c_u, c_v = camera.K[:2, 2]
+    return camera.project(points_cam)[0] - [c_u, c_v, c_u, c_v]
+
+
 def one_point(rng):
     yield "10 m ahead", (CAMERA, np.array([0.0, 0.0, 10.0]))
     for _ in range(6):
@@ -159,6 +165,18 @@ def _(camera, world_T_imu, landmark):
     return q[2] * camera.landmark_jacobian(world_T_imu, landmark)
 
 
+@landmark_jacobian.mistake("sign flipped", """Only the pose enters through its inverse; the derivative by the landmark has
+no minus.""")
+def _(camera, world_T_imu, landmark):
+    return -camera.landmark_jacobian(world_T_imu, landmark)
+
+
+@landmark_jacobian.mistake("imu_T_cam in place of cam_T_imu", "From the IMU to the camera goes cam_T_imu.")
+def _(camera, world_T_imu, landmark):
+    q = camera.to_cam(world_T_imu, landmark)
+    return _landmark_jacobian(camera, q, camera.imu_T_cam[:3, :3] @ world_T_imu[:3, :3].T)
+
+
 @landmark_jacobian.mistake("taken at the point in the IMU frame", """dpi/dq is taken at q, the point in the camera
 frame, depth along z. In the IMU frame z points up.""")
 def _(camera, world_T_imu, landmark):
@@ -232,6 +250,12 @@ def _(covariance, H, V, residual):
 @kalman_update.mistake("S not inverted", "The gain is P H^T S^-1: solve with S, do not multiply by it.")
 def _(covariance, H, V, residual):
     K = covariance @ H.T @ (H @ covariance @ H.T + V)
+    return K @ residual, (np.eye(len(covariance)) - K @ H) @ covariance
+
+
+@kalman_update.mistake("gain without the covariance", "The gain is P H^T S^-1: without P it does not know what is uncertain.")
+def _(covariance, H, V, residual):
+    K = H.T @ np.linalg.inv(H @ covariance @ H.T + V)
     return K @ residual, (np.eye(len(covariance)) - K @ H) @ covariance
 
 

@@ -428,3 +428,55 @@ def whiteness(innovations):
     e = innovations - np.mean(innovations)
     correlation = np.sum(e[1:] * e[:-1]) / np.sum(e**2)
     return correlation, 1.96 / np.sqrt(len(e))
+
+
+# --- chapter 13 -------------------------------------------------------------------------------------------
+
+
+def filter_predict(world_T_imu, covariance, twist, tau, noise):
+    step = se3.exp(tau * twist)
+    F = se3.adjoint(se3.exp(-tau * twist))
+    B = tau * se3.right_jacobian(tau * twist)
+    Q = noise.twist_covariance
+    n = len(covariance) - 6
+    P = covariance.copy()
+    P[n:, n:] = F @ covariance[n:, n:] @ F.T + B @ Q @ B.T
+    P[:n, n:] = covariance[:n, n:] @ F.T
+    P[n:, :n] = F @ covariance[n:, :n]
+    return world_T_imu @ step, P
+
+
+def filter_update(world_T_imu, landmarks, covariance, rows, pixels, camera, noise):
+    n = 3 * len(landmarks)
+    H = np.zeros((4 * len(rows), n + 6))
+    V = np.zeros((4 * len(rows), 4 * len(rows)))
+    residual = np.zeros(4 * len(rows))
+    for i in range(len(rows)):
+        j = rows[i]
+        k = slice(4 * i, 4 * i + 4)
+        H[k, 3 * j:3 * j + 3] = camera.landmark_jacobian(world_T_imu, landmarks[j])
+        H[k, n:] = camera.pose_jacobian(world_T_imu, landmarks[j])
+        V[k, k] = noise.pixel_covariance
+        residual[k] = pixels[i] - camera.observe(world_T_imu, landmarks[j])[0]
+    K = covariance @ H.T @ np.linalg.inv(H @ covariance @ H.T + V)
+    delta = K @ residual
+    P = (np.eye(n + 6) - K @ H) @ covariance
+    return world_T_imu @ se3.exp(delta[n:]), landmarks + delta[:n].reshape(-1, 3), P
+
+
+def filter_birth(world_T_imu, landmarks, covariance, pixels, camera, noise):
+    n = len(covariance) - 6
+    q = camera.triangulate(pixels)[0]
+    s = se3.transform(camera.imu_T_cam, q)
+    C = camera.triangulation_covariance(q, noise.sigma_px)
+    R, R_cam = world_T_imu[:3, :3], camera.imu_T_cam[:3, :3]
+    G = R @ np.hstack([np.eye(3), -se3.so3_hat(s)])
+    cross = G @ covariance[n:]
+    own = G @ covariance[n:, n:] @ G.T + R @ R_cam @ C @ R_cam.T @ R.T
+    P = np.zeros((n + 9, n + 9))
+    old = np.r_[:n, n + 3:n + 9]
+    P[np.ix_(old, old)] = covariance
+    P[n:n + 3, old] = cross
+    P[old, n:n + 3] = cross.T
+    P[n:n + 3, n:n + 3] = own
+    return np.vstack([landmarks, se3.transform(world_T_imu, s)]), P
