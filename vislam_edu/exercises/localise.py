@@ -68,10 +68,9 @@ def _entries(name, pairs, tolerance) -> list[str]:
         if every(lambda a, b: like(b, b.T)) and every(lambda a, b: not like(a, a.T)):
             found.append(f"{name} should be symmetric and is not: is a factor or its transpose missing on one side?")
         elif every(lambda a, b: like(b, b.T) and _positive(b)) and every(lambda a, b: like(a, a.T) and not _positive(a)):
-            found.append(f"{name} is no covariance: it has a variance that is zero or negative in some direction.")
-        elif every(lambda a, b: np.linalg.matrix_rank(a) < np.linalg.matrix_rank(b)):
-            found.append(f"{name} has rank {np.linalg.matrix_rank(pairs[0][0])} where "
-                         f"{np.linalg.matrix_rank(first)} is right.")
+            found.append(f"{name} is no covariance: it has a negative variance in some direction.")
+        elif every(lambda a, b: _rank(a) < _rank(b)):
+            found.append(f"{name} has rank {_rank(pairs[0][0])} where {_rank(first)} is right.")
         if every(lambda a, b: _is_rotation(b[:3, :3])) and len(first) in (3, 4):
             broken = every(lambda a, b: not _is_rotation(a[:3, :3]))
             found += [f"{name} holds no rotation: R^T R is not the identity."] if broken else []
@@ -86,11 +85,12 @@ def _entries(name, pairs, tolerance) -> list[str]:
 def _kind(pairs, tolerance) -> str:
     """What stands where the wrong entries are."""
     parts = [(a[wrong_entries(a, b, tolerance)], b[wrong_entries(a, b, tolerance)]) for a, b in pairs]
-    if all(not a.any() for a, _ in parts):
+    sizes = [tolerance * np.abs(b).max(initial=0.0) for _, b in pairs]
+    if all(np.abs(a).max() <= size for (a, _), size in zip(parts, sizes)):
         return ". There your result is zero"
     if all(close(-a, b, tolerance) for a, b in parts):
         return ". There the sign is reversed"
-    if all(not b.any() for _, b in parts):
+    if all(np.abs(b).max() <= size for (_, b), size in zip(parts, sizes)):
         return ". There the right result is zero"
     return ""
 
@@ -149,7 +149,12 @@ def _range(masks, axis, what) -> list[str]:
 
 
 def _positive(matrix) -> bool:
-    return bool(np.linalg.eigvalsh((matrix + matrix.T) / 2).min() > 0)
+    values = np.linalg.eigvalsh((matrix + matrix.T) / 2)
+    return bool(values.min() > -1e-9 * np.abs(values).max())  # what rounding leaves of a zero is no mistake
+
+
+def _rank(matrix) -> int:
+    return int(np.linalg.matrix_rank(matrix, rtol=1e-8))
 
 
 def _is_rotation(R) -> bool:

@@ -95,7 +95,7 @@ def _wrong(exercise, cases, outcomes, expected, reasons) -> Verdict:
         lines.append("The same numbers come out " + ", or ".join(explanations[:2]) + ".")
     elif explanations:
         lines.append("Your result is what one gets " + ",\n  or ".join(explanations) + ".")
-    else:
+    elif not pieces:
         lines += [f"Perhaps: {guess.name}. {guess.hint}"] if guess else []
         lines += where
     lines += [_remarks(outcomes).strip()] if _remarks(outcomes) else []
