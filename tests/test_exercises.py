@@ -70,7 +70,7 @@ def test_every_piece_is_recognised_with_its_own_hint(name, i):
     mistake = EXERCISES[name].mistakes[i]
     start = time.process_time()
     verdict = judge(EXERCISES[name], mistake.function)
-    assert time.process_time() - start < 1
+    assert time.process_time() - start < 2
     assert verdict.status == WRONG
     assert verdict.mistake == mistake.name
     assert f"Most likely: {mistake.name}. {mistake.hint}" in verdict.text
