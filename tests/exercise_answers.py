@@ -3,6 +3,7 @@
 `ANSWERS[name]` is a list of functions. They are written as students write: loops, series, scipy, no care for speed.
 """
 
+import itertools
 import math
 from collections import defaultdict
 
@@ -567,7 +568,7 @@ def _(innovations):
 @answer("whiteness")
 def _(innovations):
     e = [float(x) - sum(innovations) / len(innovations) for x in innovations]
-    return [sum(a * b for a, b in zip(e, e[1:])) / sum(a * a for a in e), 1.96 / math.sqrt(len(e))]
+    return [sum(a * b for a, b in itertools.pairwise(e)) / sum(a * a for a in e), 1.96 / math.sqrt(len(e))]
 
 
 # --- chapter 11 -------------------------------------------------------------------------------------------

@@ -139,7 +139,8 @@ def _(phi):
     return np.exp(se3.so3_hat(phi))
 
 
-@so3_exp.mistake("series cut off", """I + S + S S / 2 is the series up to its second term: good for small angles only.""")
+@so3_exp.mistake("series cut off", """I + S + S S / 2 is the series up to its second term: good for small
+angles only.""")
 def _(phi):
     S = se3.so3_hat(phi)
     return np.eye(3) + S + S @ S / 2
@@ -294,7 +295,8 @@ def _(xi):
     return se3.adjoint(se3.exp(xi))
 
 
-@left_jacobian.mistake("series cut off", "Two or three terms are not enough for a turn of a radian: add terms until they no longer matter.")
+@left_jacobian.mistake("series cut off", """Two or three terms are not enough for a turn of a radian: add terms until
+they no longer matter.""")
 def _(xi):
     X = se3.curly_hat(xi)
     return np.eye(6) + X / 2 + X @ X / 6

@@ -165,8 +165,8 @@ def _(camera, world_T_imu, landmark):
     return q[2] * camera.landmark_jacobian(world_T_imu, landmark)
 
 
-@landmark_jacobian.mistake("sign flipped", """Only the pose enters through its inverse; the derivative by the landmark has
-no minus.""")
+@landmark_jacobian.mistake("sign flipped", """Only the pose enters through its inverse; the derivative by the landmark
+has no minus.""")
 def _(camera, world_T_imu, landmark):
     return -camera.landmark_jacobian(world_T_imu, landmark)
 
@@ -253,7 +253,8 @@ def _(covariance, H, V, residual):
     return K @ residual, (np.eye(len(covariance)) - K @ H) @ covariance
 
 
-@kalman_update.mistake("gain without the covariance", "The gain is P H^T S^-1: without P it does not know what is uncertain.")
+@kalman_update.mistake("gain without the covariance", """The gain is P H^T S^-1: without P it does not know what is
+uncertain.""")
 def _(covariance, H, V, residual):
     K = H.T @ np.linalg.inv(H @ covariance @ H.T + V)
     return K @ residual, (np.eye(len(covariance)) - K @ H) @ covariance

@@ -16,7 +16,8 @@ def steps(rng):
     for n in (1, 2, 4):
         T = random_pose(rng)
         twist = rng.normal(size=6)
-        yield "random", (T, random_landmarks(rng, T, n), (tau := rng.uniform(0.05, 0.3)) * se3.right_jacobian(tau * twist))
+        tau = rng.uniform(0.05, 0.3)
+        yield "random", (T, random_landmarks(rng, T, n), tau * se3.right_jacobian(tau * twist))
 
 
 def _stacked(landmark_rows, B):

@@ -36,8 +36,8 @@ def axis_signs(gyro, seen):
     return _signs(_correlation(gyro, seen))
 
 
-@axis_signs.mistake("mean not subtracted", """A correlation is taken after the mean of each signal is subtracted; without
-it the bias of the gyro decides the sign.""")
+@axis_signs.mistake("mean not subtracted", """A correlation is taken after the mean of each signal is subtracted;
+without it the bias of the gyro decides the sign.""")
 def _(gyro, seen):
     size = np.sqrt(np.sum(gyro**2, axis=0) * np.sum(seen**2, axis=0))
     return _signs(np.sum(gyro * seen, axis=0) / size)

@@ -21,8 +21,8 @@ def _cost(first, last, frames, window=True, numbers=3):
 
 
 @exercise(chapter=9, cases=_tracks, shows=[np.sum], outputs=("window", "dense"), hints=[
-    "Count for each frame the landmarks that are seen (first <= k <= last), and those that were ever seen (first <= k).",
-    "Add up 3 s (3 n + 6)^2 over the frames, s the landmarks seen: n = s in the window, n = all so far if none leaves."])
+    "Count for each frame the landmarks that are seen (first <= k <= last), and all that have been seen (first <= k).",
+    "Add up 3 s (3 n + 6)^2 over the frames, s the landmarks seen: n = s in the window, all so far if none leaves."])
 def window_cost(first, last, frames):
     """Multiplications that the updates of a whole drive take, with a window and without.
 

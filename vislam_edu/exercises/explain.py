@@ -13,6 +13,7 @@ import numpy as np
 
 from . import mutants, transforms
 from .comparing import ROUGH, canonical, close
+from .exercise import Exercise
 from .running import Outcome, outcome_of, within
 
 LIMIT = 1.5  # s, for the whole search
@@ -24,7 +25,7 @@ _PAIRS = 1500  # mutants with two changes that are tried
 class Search:
     """The candidates found so far: for each wrong result the words of those that give the same numbers."""
 
-    exercise: object
+    exercise: Exercise
     cases: list
     outcomes: list[Outcome]
     expected: list
@@ -76,7 +77,7 @@ class Search:
 
     @property
     def done(self) -> bool:
-        return bool(self.joint) or bool(self.wrong) and all(self.found.values())
+        return bool(self.joint) or (bool(self.wrong) and all(self.found.values()))
 
     def run(self, simple: bool) -> None:
         """The levels, the simplest first; ends with the first that explains everything."""
@@ -98,6 +99,7 @@ class Search:
         """The right result changed, or equal to an argument; then wrong results changed."""
         shown = self.outcomes[self.probe].values
         names = self.exercise.arguments
+        outputs = self.exercise.outputs
         for i, argument in enumerate(self.cases[self.probe][1]):
             if isinstance(argument, np.ndarray):
                 for k in self.wrong:
@@ -110,8 +112,7 @@ class Search:
                                 result + sign * arguments[i]))
         self._factors()
         for k, other in ((k, other) for k in self.wrong for other in range(len(self.expected[0])) if k != other):
-            names = self.exercise.outputs
-            self.offer(f"with {names[other]} returned in place of {names[k]}", self._exchanged(k, other))
+            self.offer(f"with {outputs[other]} returned in place of {outputs[k]}", self._exchanged(k, other))
         reference = ("", self.exercise.reference, self.expected[self.probe])
         pieces = [(f"with this mistake: {piece.name}", piece.function, outcome.values)
                   for piece in self.exercise.mistakes
@@ -147,11 +148,12 @@ class Search:
             where = np.unravel_index(np.argmax(np.abs(np.nan_to_num(should[k]))), should[k].shape)
             ratio = float(shown[k][where] / should[k][where])
             self.offer(f"with the result multiplied by {ratio:.4g}", self._with(
-                self.exercise.reference, k, lambda result, arguments: ratio * np.asarray(result)))
+                self.exercise.reference, k, lambda result, arguments, ratio=ratio: ratio * np.asarray(result)))
             for i, argument in enumerate(self.cases[self.probe][1]):
                 if isinstance(argument, int | float) and not isinstance(argument, bool):
                     for power in (-2, -1, -0.5, 0.5, 1, 2):
-                        self.offer(f"with the result multiplied by `{self.exercise.arguments[i]}` ** {power}", self._with(
+                        words = f"with the result multiplied by `{self.exercise.arguments[i]}` ** {power}"
+                        self.offer(words, self._with(
                             self.exercise.reference, k, lambda result, arguments, i=i, power=power:
                             float(arguments[i])**power * np.asarray(result)))
 

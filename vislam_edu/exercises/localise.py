@@ -67,7 +67,7 @@ def _entries(name, pairs, tolerance) -> list[str]:
     if first.ndim == 2 and first.shape[0] == first.shape[1] > 1:
         if every(lambda a, b: like(b, b.T)) and every(lambda a, b: not like(a, a.T)):
             found.append(f"{name} should be symmetric and is not: is a factor or its transpose missing on one side?")
-        elif every(lambda a, b: like(b, b.T) and _positive(b)) and every(lambda a, b: like(a, a.T) and not _positive(a)):
+        elif every(lambda a, b: like(b, b.T) and _positive(b) and like(a, a.T) and not _positive(a)):
             found.append(f"{name} is no covariance: it has a negative variance in some direction.")
         elif every(lambda a, b: _rank(a) < _rank(b)):
             found.append(f"{name} has rank {_rank(pairs[0][0])} where {_rank(first)} is right.")

@@ -9,6 +9,7 @@ import functools
 import inspect
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from typing import Any
 
 from . import plain
 
@@ -80,8 +81,8 @@ class _Change:
 
     def swap(self, node):
         """Put a node there and return the one that it replaces."""
-        holder, key = (vars(self.parent), self.field) if self.index is None else (
-            getattr(self.parent, self.field), self.index)
+        holder: Any = vars(self.parent) if self.index is None else getattr(self.parent, self.field)
+        key = self.field if self.index is None else self.index
         old, holder[key] = holder[key], node
         return old
 
@@ -123,9 +124,9 @@ def _changes(tree) -> list[_Change]:
 
 def _is_fixed(node) -> bool:
     """What is left alone: how often a loop runs (it might never end) and how large an array is."""
-    return isinstance(node, ast.comprehension) or isinstance(node, ast.Call) and ast.unparse(node.func) in (
-        "range", "zip", "enumerate", "np.zeros", "np.arange") or isinstance(node, ast.Subscript) and \
-        ast.unparse(node.value) == "np.r_"
+    return isinstance(node, ast.comprehension) or (isinstance(node, ast.Call) and ast.unparse(node.func) in (
+        "range", "zip", "enumerate", "np.zeros", "np.arange")) or (isinstance(node, ast.Subscript) and \
+        ast.unparse(node.value) == "np.r_")
 
 
 def _names(function) -> list[str]:
@@ -135,7 +136,7 @@ def _names(function) -> list[str]:
     return [argument.arg for argument in function.args.args] + list(stored)
 
 
-def _of_statement(node) -> Iterator[tuple[int, str, ast.AST | None]]:
+def _of_statement(node) -> Iterator[tuple[int, str, ast.AST]]:
     text = ast.unparse(node)
     if isinstance(node, ast.If):
         test = ast.unparse(node.test)
@@ -243,7 +244,8 @@ def _of_operation(node, text) -> Iterator[tuple[int, str, ast.AST]]:
         yield 5, _instead(text, f"{left} ** 4"), _expression(f"({left})**4")
         yield 5, _instead(text, f"{left} ** 3"), _expression(f"({left})**3")
     if isinstance(node.op, ast.Mult | ast.Div | ast.MatMult) and not isinstance(node.right, ast.BinOp):
-        yield 5, f"with the square of `{right}` in `{text}`", ast.BinOp(node.left, node.op, _expression(f"({right})**2"))
+        square = _expression(f"({right})**2")
+        yield 5, f"with the square of `{right}` in `{text}`", ast.BinOp(node.left, node.op, square)
 
 
 def _of_call(node, text) -> Iterator[tuple[int, str, ast.AST]]:
@@ -254,8 +256,9 @@ def _of_call(node, text) -> Iterator[tuple[int, str, ast.AST]]:
         new = ast.Call(_expression(_IN_PLACE_OF[function]), node.args, node.keywords)
         yield 4, _instead(text, ast.unparse(new)), new
     for pattern in _REWRITTEN.get(function, []):
-        new = "".join({"X": f"({arguments[0]})", "Y": f"({arguments[-1]})"}.get(letter, letter) for letter in pattern)
-        yield 4, _instead(text, ast.unparse(_expression(new))), _expression(new)
+        parts = {"X": f"({arguments[0]})", "Y": f"({arguments[-1]})"}
+        rewritten = _expression("".join(parts.get(letter, letter) for letter in pattern))
+        yield 4, _instead(text, ast.unparse(rewritten)), rewritten
     if len(arguments) == 2 and arguments[0] != arguments[1]:
         new = ast.Call(node.func, node.args[::-1], node.keywords)
         yield 4, _instead(text, ast.unparse(new)), new

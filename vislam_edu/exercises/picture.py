@@ -30,7 +30,9 @@ class Picture:
 
     def figure(self):
         """The matplotlib figure."""
-        return _way_to_draw(self.came, self.should)(self)
+        draw = _way_to_draw(self.came, self.should)
+        assert draw  # a picture is made only where there is a way to draw it
+        return draw(self)
 
     def _repr_mimebundle_(self, include=None, exclude=None):
         png, metadata = png_and_alt(self.figure())

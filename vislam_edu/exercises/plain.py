@@ -111,7 +111,7 @@ def triangulate_bearings__least_squares(K, uv1, uv2, R, p):
 
 
 def triangulate(K, baseline, pixels):
-    u_left, v_left, u_right, v_right = pixels.T
+    u_left, v_left, u_right, _v_right = pixels.T
     d = u_left - u_right
     ok = d > 0
     z = K[0, 0] * baseline / d

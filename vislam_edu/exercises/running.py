@@ -136,8 +136,13 @@ def written(function) -> bool:
     except (OSError, TypeError, SyntaxError):  # no source, or a lambda in the middle of a line
         return False
     functions = [node for node in tree.body if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)]
-    return any(not (isinstance(line, ast.Raise | ast.Pass) or isinstance(line, ast.Expr | ast.Return)
-                    and (line.value is None or isinstance(line.value, ast.Constant))) for node in functions[:1] for line in node.body)
+    return any(not _is_stub_line(line) for node in functions[:1] for line in node.body)
+
+
+def _is_stub_line(line) -> bool:
+    if isinstance(line, ast.Expr | ast.Return):
+        return line.value is None or isinstance(line.value, ast.Constant)
+    return isinstance(line, ast.Raise | ast.Pass)
 
 
 def copied(argument):

@@ -22,7 +22,8 @@ _CALLABLE = (types.FunctionType, types.BuiltinFunctionType, type, np.ufunc, prop
 
 def _owners() -> Iterator[tuple[str, object]]:
     """Modules and classes whose functions a check relies on."""
-    yield from (("builtins", builtins), ("math", math), ("np", np), ("np.linalg", np.linalg), ("scipy.linalg", scipy.linalg))
+    yield from (("builtins", builtins), ("math", math), ("np", np), ("np.linalg", np.linalg),
+                ("scipy.linalg", scipy.linalg))
     for name, module in list(sys.modules.items()):
         if name.startswith("vislam_edu") and isinstance(module, types.ModuleType):
             yield name.removeprefix("vislam_edu."), module

@@ -1,4 +1,6 @@
-"""Changes of the arguments and of the results of a right answer, with words that finish "your result is what one gets ...".
+"""Changes of the arguments and of the results of a right answer.
+
+Each comes with words that finish the sentence "your result is what one gets ...".
 """
 
 import dataclasses
@@ -41,7 +43,7 @@ def _exchanged(i, j):
 def _alike(a, b) -> bool:
     if isinstance(a, np.ndarray) and isinstance(b, np.ndarray):
         return a.shape == b.shape
-    return isinstance(a, float) and isinstance(b, float) or type(a) is type(b) is int
+    return (isinstance(a, float) and isinstance(b, float)) or type(a) is type(b) is int
 
 
 def _changes_of(name, value) -> list[Change]:
@@ -87,15 +89,17 @@ def _blocks(P, n):
     return P
 
 
-_CAMERA = [
+_CAMERA: list[Change] = [
     ("with the extrinsics `cam_T_imu` left out", lambda c: _camera(c, cam_T_imu=np.eye(4))),
     ("with the extrinsics `cam_T_imu` inverted", lambda c: _camera(c, cam_T_imu=se3.inverse(c.cam_T_imu))),
-    ("with the translation of `cam_T_imu` left out", lambda c: _camera(c, cam_T_imu=_set(c.cam_T_imu, np.s_[:3, 3], 0))),
+    ("with the translation of `cam_T_imu` left out",
+     lambda c: _camera(c, cam_T_imu=_set(c.cam_T_imu, np.s_[:3, 3], 0))),
 ]
-_INTEGER = [("with {} + 1 in place of {}", lambda x: x + 1), ("with {} - 1 in place of {}", lambda x: x - 1),
-            ("with 1 in place of {}", lambda x: 1), ("with 2 in place of {}", lambda x: 2)]
-_INTEGER = [(words.replace("{}", "{0}"), change) for words, change in _INTEGER]
-_NUMBER = [
+_INTEGER: list[Change] = [
+    ("with {0} + 1 in place of {0}", lambda x: x + 1), ("with {0} - 1 in place of {0}", lambda x: x - 1),
+    ("with 1 in place of {}", lambda x: 1), ("with 2 in place of {}", lambda x: 2),
+]
+_NUMBER: list[Change] = [
     ("with {} forgotten (taken as 1)", lambda x: 1.0), ("with {} squared once more", lambda x: x**2),
     ("with the square root of {}", lambda x: x**0.5), ("with 1 / {0} in place of {0}", lambda x: 1 / x),
     ("with the sign of {} reversed", lambda x: -x), ("with zero in place of {}", lambda x: 0.0),
@@ -103,9 +107,12 @@ _NUMBER = [
     ("with {} converted from degrees to radians", np.radians), ("with 1 - {0} in place of {0}", lambda x: 1 - x),
     ("with 2 * {0} - 1 in place of {0}", lambda x: 2 * x - 1),
 ]
-_MASK = [("with {} ignored (all True)", np.ones_like), ("with {} turned round", np.logical_not)]
-_IDS = [("with {} ignored (0, 1, 2, ... in its place)", lambda x: np.arange(len(x))), ("with {} sorted", np.sort)]
-_CALIBRATION = [
+_MASK: list[Change] = [
+    ("with {} ignored (all True)", np.ones_like),
+    ("with {} turned round", np.logical_not)]
+_IDS: list[Change] = [
+    ("with {} ignored (0, 1, 2, ... in its place)", lambda x: np.arange(len(x))), ("with {} sorted", np.sort)]
+_CALIBRATION: list[Change] = [
     ("with `K` transposed", np.transpose), ("with `K` inverted", np.linalg.inv),
     ("with the principal point forgotten", lambda K: np.diag(np.diag(K))),
     ("with f_u for both axes", lambda K: _set(K, (1, 1), K[0, 0])),
@@ -114,7 +121,7 @@ _CALIBRATION = [
     ("with the focal lengths forgotten", lambda K: _set(_set(K, (0, 0), 1.0), (1, 1), 1.0)),
     ("with the principal point added in place of subtracted", lambda K: _set(K, np.s_[:2, 2], -K[:2, 2])),
 ]
-_POSE = [
+_POSE: list[Change] = [
     ("with {} inverted", se3.inverse),
     ("with the rotation of {} transposed", lambda T: _set(T, np.s_[:3, :3], T[:3, :3].T)),
     ("with the translation of {} left out", lambda T: _set(T, np.s_[:3, 3], 0.0)),
@@ -122,33 +129,33 @@ _POSE = [
     ("with the sign of the translation of {} reversed", lambda T: _set(T, np.s_[:3, 3], -T[:3, 3])),
     ("with {} left out (the identity in its place)", lambda T: np.eye(4)),
 ]
-_ARRAY = [
+_ARRAY: list[Change] = [
     ("with the sign of {} reversed", np.negative), ("with {} left out (zero in its place)", np.zeros_like),
     ("with twice {}", lambda x: 2 * x), ("with {} reversed", lambda x: x[::-1]),
     ("with the first of {} used for all", lambda x: np.broadcast_to(x[:1], x.shape).copy() if len(x) else x),
     ("with 1 in place of every {}", np.ones_like),
     ("with the square root of {}", np.sqrt), ("with {} squared", np.square),
 ]
-_VECTOR = [
+_VECTOR: list[Change] = [
     ("with {} divided by its length", lambda x: x / np.linalg.norm(x)),
     ("with {} converted from degrees to radians", np.radians),
     ("with the first and the last of {} exchanged", lambda x: x[::-1]),
     ("with the last two of {} exchanged", lambda x: np.r_[x[:-2], x[-1], x[-2]]),
     ("with the first two of {} exchanged", lambda x: np.r_[x[1], x[0], x[2:]]),
 ]
-_TWIST = [
+_TWIST: list[Change] = [
     ("with the two halves of {} exchanged, as if it were [omega, v]", lambda x: np.roll(x, 3, axis=-1)),
     ("with the first half of {} left out", lambda x: x * [0, 0, 0, 1, 1, 1]),
     ("with the second half of {} left out", lambda x: x * [1, 1, 1, 0, 0, 0]),
     ("with the sign of the first half of {} reversed", lambda x: x * [-1, -1, -1, 1, 1, 1]),
     ("with the sign of the second half of {} reversed", lambda x: x * [1, 1, 1, -1, -1, -1]),
 ]
-_SQUARE = [
+_SQUARE: list[Change] = [
     ("with {} transposed", np.transpose), ("with {} inverted", np.linalg.inv),
     ("with only the diagonal of {}", lambda x: np.diag(np.diag(x))),
     ("with the identity in place of {}", lambda x: np.eye(len(x))),
 ]
-_COVARIANCE = [
+_COVARIANCE: list[Change] = [
     ("with the first three and the others of {} taken as independent", lambda P: _blocks(P, 3)),
     ("with the last six and the others of {} taken as independent", lambda P: _blocks(P, len(P) - 6)),
 ]
@@ -193,7 +200,8 @@ def result_changes(value: np.ndarray) -> Iterator[Change]:
         yield "with the diagonal left out", lambda x: x * (1 - np.eye(x.shape[-1]))
         yield "with only the upper triangle filled", np.triu
         yield "with only the lower triangle filled", np.tril
-        yield "with the lower triangle copied from the upper one without its sign", lambda x: np.triu(x) + np.triu(x, 1).T
+        yield "with the lower triangle copied from the upper one without its sign", \
+            lambda x: np.triu(x) + np.triu(x, 1).T
         yield "with the identity added", lambda x: x + np.eye(x.shape[-1])
         yield "with the identity subtracted", lambda x: x - np.eye(x.shape[-1])
         yield "with a one in the last corner", lambda x: _set(x, (-1, -1), 1.0)
