@@ -6,6 +6,7 @@ Several results (a mean and a covariance, say) may have explanations of their ow
 """
 
 import contextlib
+import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
@@ -21,6 +22,10 @@ SHOWN = 3  # explanations that fit alike and are listed
 _PAIRS = 1500  # mutants with two changes that are tried
 
 
+class _TimeIsUp(Exception):
+    """The search ends here, with what it has found."""
+
+
 @dataclass
 class Search:
     """The candidates found so far: for each wrong result the words of those that give the same numbers."""
@@ -34,6 +39,7 @@ class Search:
     found: dict[int, list[str]] = field(default_factory=dict)
     joint: list[str] = field(default_factory=list)  # explain all results, the right ones included
     level: list[tuple[str, Callable, list]] = field(default_factory=list)  # words, function, values on the probe
+    end: float = field(default_factory=lambda: time.monotonic() + LIMIT)
 
     def __post_init__(self):
         wrong = [i for i, (outcome, should) in enumerate(zip(self.outcomes, self.expected))
@@ -49,6 +55,8 @@ class Search:
 
     def offer(self, words: str, function: Callable, keep: bool = False) -> None:
         """Try a candidate, first on the probe and, where it fits, on all inputs."""
+        if time.monotonic() > self.end:
+            raise _TimeIsUp
         outcome = outcome_of(self.exercise, function, self.cases[self.probe][1])
         if keep and outcome.values is not None:
             self.level.append((words, function, outcome.values))
@@ -214,11 +222,11 @@ def explain(exercise, cases, outcomes, expected, simple=False) -> list[str]:
     search = Search(exercise, cases, outcomes, expected)
 
     def work():
-        with np.errstate(all="ignore"):
+        with np.errstate(all="ignore"), contextlib.suppress(_TimeIsUp):
             search.run(simple)
 
     if search.wrong:
-        within(work, LIMIT)
+        within(work, LIMIT + 0.3)  # should one candidate never come back
     if search.joint:
         return search.joint[:SHOWN]
     if search.wrong and all(search.found.values()):
