@@ -55,8 +55,7 @@ class Search:
 
     def offer(self, words: str, function: Callable, keep: bool = False) -> None:
         """Try a candidate, first on the probe and, where it fits, on all inputs."""
-        if time.monotonic() > self.end:
-            raise _TimeIsUp
+        self._watch()
         outcome = outcome_of(self.exercise, function, self.cases[self.probe][1])
         if keep and outcome.values is not None:
             self.level.append((words, function, outcome.values))
@@ -65,6 +64,10 @@ class Search:
         fits = [True] * len(self.expected[0]) if outcome.values is None else self._same(self.probe, outcome.values)
         if any(fits[k] for k in self.wrong):
             self._confirm(words, function, fits)
+
+    def _watch(self) -> None:
+        if time.monotonic() > self.end:
+            raise _TimeIsUp
 
     def _alike(self, i, outcome) -> bool:
         error = self.outcomes[i].error
@@ -132,6 +135,7 @@ class Search:
             self._changed_result(words, function, values, shown)
 
     def _changed_result(self, words, function, values, shown) -> None:
+        self._watch()
         if shown is None or len(values) != len(shown):
             return
         for k in self.wrong:
