@@ -3,6 +3,7 @@
 `ANSWERS[name]` is a list of functions. They are written as students write: loops, series, scipy, no care for speed.
 """
 
+import itertools
 import math
 from collections import defaultdict
 
@@ -542,6 +543,47 @@ def _(world_T_imu, landmarks, delta):
     new = [(linalg.expm(wedge(np.r_[d, omega])) @ np.append(m, 1.0))[:3]
            for m, d in zip(landmarks, delta[:-6].reshape(-1, 3))]
     return linalg.expm(wedge(np.r_[delta[-6:-3], omega])) @ world_T_imu, new
+
+
+# --- chapters 8 to 10 -------------------------------------------------------------------------------------
+
+@answer("axis_signs")
+def _(gyro, seen):
+    a, b = gyro - gyro.mean(axis=0), seen - seen.mean(axis=0)
+    r = (a * b).sum(axis=0) / np.sqrt((a**2).sum(axis=0) * (b**2).sum(axis=0))
+    return (r > 0.5) * 1 - (r < -0.5) * 1
+
+
+@answer("axis_signs")
+def _(gyro, seen):
+    r = [stats.pearsonr(gyro[:, i], seen[:, i]).statistic for i in range(3)]
+    return [math.copysign(1, x) if abs(x) > 0.5 else 0 for x in r]
+
+
+@answer("window_cost")
+def _(first, last, frames):
+    seen = [sum(a <= k <= b for a, b in zip(first, last)) for k in range(frames)]
+    so_far = [sum(a <= k for a in first) for k in range(frames)]
+    return sum(3 * s * (3 * s + 6)**2 for s in seen), sum(3 * s * (3 * n + 6)**2 for s, n in zip(seen, so_far))
+
+
+@answer("window_cost")
+def _(first, last, frames):
+    k = np.arange(frames)[:, None]
+    seen, so_far = ((first <= k) & (last >= k)).sum(axis=1), (first <= k).sum(axis=1)
+    return 27 * np.sum(seen * (seen + 2)**2), 27 * np.sum(seen * (so_far + 2)**2)
+
+
+@answer("whiteness")
+def _(innovations):
+    e = innovations - np.mean(innovations)
+    return e[1:] @ e[:-1] / (e @ e), 1.96 / len(e)**0.5
+
+
+@answer("whiteness")
+def _(innovations):
+    e = [float(x) - sum(innovations) / len(innovations) for x in innovations]
+    return [sum(a * b for a, b in itertools.pairwise(e)) / sum(a * a for a in e), 1.96 / math.sqrt(len(e))]
 
 
 # --- chapter 11 -------------------------------------------------------------------------------------------

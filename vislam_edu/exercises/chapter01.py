@@ -139,6 +139,13 @@ def _(phi):
     return np.exp(se3.so3_hat(phi))
 
 
+@so3_exp.mistake("series cut off", """I + S + S S / 2 is the series up to its second term: good for small
+angles only.""")
+def _(phi):
+    S = se3.so3_hat(phi)
+    return np.eye(3) + S + S @ S / 2
+
+
 @exercise(chapter=1, cases=twists, shows=[se3.exp, se3.hat, se3._angle_functions], hints=[
     "The rotation is so3_exp(omega). The translation is not v: the body turns while it moves.",
     "The translation is V v with V = I + (1 - cos t) / t^2 S + (t - sin t) / t^3 S S, S = so3_hat(omega). " + _SMALL])
@@ -288,6 +295,13 @@ def _(xi):
     return se3.adjoint(se3.exp(xi))
 
 
+@left_jacobian.mistake("series cut off", """Two or three terms are not enough for a turn of a radian: add terms until
+they no longer matter.""")
+def _(xi):
+    X = se3.curly_hat(xi)
+    return np.eye(6) + X / 2 + X @ X / 6
+
+
 # --- motion -----------------------------------------------------------------------------------------------
 
 def drives(rng):
@@ -340,6 +354,12 @@ def _(world_T_imu, twists, taus):
     for twist, tau in zip(twists, taus):
         poses.append(poses[-1] @ se3.pose(se3.so3_exp(tau * twist[3:]), tau * twist[:3]))
     return np.array(poses)
+
+
+@dead_reckon.mistake("one array changed again and again", """The list holds the same array many times, and each step
+changes it: append a new one, T = T @ ... rather than T[:] = T @ ...""")
+def _(world_T_imu, twists, taus):
+    return np.repeat(dead_reckon.reference(world_T_imu, twists, taus)[-1:], len(taus) + 1, axis=0)
 
 
 def predictions(rng):

@@ -5,7 +5,7 @@ import numpy as np
 from .. import se3, stereo
 from ..stereo import StereoCamera
 from .exercise import exercise
-from .inputs import BASELINE, CAMERA, K, random_points_cam
+from .inputs import BASELINE, K, random_calibration, random_camera, random_points_cam
 
 # --- bearings ---------------------------------------------------------------------------------------------
 
@@ -14,7 +14,7 @@ def pixels_of_one_camera(rng):
     yield "principal point", (K.copy(), np.array([600.0, 180.0]))
     yield "upper left corner", (K.copy(), np.zeros(2))
     for _ in range(5):
-        yield "random", (K.copy(), rng.uniform(0, 400, size=2))
+        yield "random", (random_calibration(rng), rng.uniform(0, 400, size=2))
 
 
 @exercise(chapter=2, cases=pixels_of_one_camera, shows=[stereo.bearing], hints=[
@@ -60,11 +60,11 @@ def _(K, uv):
 
 def two_views(rng):
     for label, R, p in [("rectified pair", np.eye(3), np.array([BASELINE, 0.0, 0.0])),
-                        *(("random pair", se3.so3_exp(0.2 * rng.normal(size=3)),
+                        *(("random", se3.so3_exp(0.2 * rng.normal(size=3)),
                            np.array([1.0, 0.3, 0.0]) + 0.2 * rng.normal(size=3)) for _ in range(6))]:
-        point = random_points_cam(rng, 1)[0]
+        point, K = random_points_cam(rng, 1)[0], random_calibration(rng)
         seen = [K @ q / q[2] for q in (point, R.T @ (point - p))]
-        yield label, (K.copy(), seen[0][:2], seen[1][:2], R, p)
+        yield label, (K, seen[0][:2], seen[1][:2], R, p)
 
 
 def _met(z1, z2, R, p):
@@ -122,13 +122,15 @@ def _(K, uv1, uv2, R, p):
 # --- disparity --------------------------------------------------------------------------------------------
 
 def stereo_pixels(rng):
-    good = CAMERA.project(random_points_cam(rng, 4))[0]
-    yield "all disparities positive", (K.copy(), BASELINE, good)
+    for _ in range(2):
+        camera = random_camera(rng)
+        yield "random", (camera.K.copy(), camera.baseline, camera.project(random_points_cam(rng, 4))[0])
     for _ in range(4):
-        pixels = CAMERA.project(random_points_cam(rng, 6))[0]
+        camera = random_camera(rng)
+        pixels = camera.project(random_points_cam(rng, 6))[0]
         pixels[1, 2] = pixels[1, 0]
         pixels[4, 2] = pixels[4, 0] + 3.0
-        yield "a zero and a negative disparity", (K.copy(), BASELINE, pixels)
+        yield "a zero and a negative disparity", (camera.K.copy(), camera.baseline, pixels)
 
 
 def _by_disparity(K, baseline, pixels, disparity, rays=None):
@@ -200,10 +202,18 @@ def _(K, baseline, pixels):
     return _by_disparity(K, 1.0, pixels, d), d > 0
 
 
+@triangulate.mistake("principal point forgotten", "u is counted from the corner of the image; the axis is at c_u, c_v.")
+def _(K, baseline, pixels):
+    d = pixels[:, 0] - pixels[:, 2]
+    rays = np.column_stack([pixels[:, :2] / [K[0, 0], K[1, 1]], np.ones(len(pixels))])
+    return _by_disparity(K, baseline, pixels, d, rays), d > 0
+
+
 def points_and_sigma(rng):
     yield "10 m ahead", (K.copy(), BASELINE, np.array([0.0, 0.0, 10.0]), 1.0)
     for _ in range(5):
-        yield "random", (K.copy(), BASELINE, random_points_cam(rng, 1)[0], rng.uniform(0.4, 3.0))
+        yield "random", (random_calibration(rng), rng.uniform(0.3, 0.8), random_points_cam(rng, 1)[0],
+                         rng.uniform(0.4, 3.0))
 
 
 def _H(K, baseline, point):

@@ -6,7 +6,7 @@ from scipy.linalg import block_diag
 from .. import kalman, mapping, se3, stereo
 from ..stereo import StereoCamera
 from .exercise import exercise
-from .inputs import CAMERA, random_covariance, random_landmarks, random_points_cam, random_pose
+from .inputs import CAMERA, random_camera, random_covariance, random_landmarks, random_points_cam, random_pose
 
 # --- projection -------------------------------------------------------------------------------------------
 
@@ -14,7 +14,7 @@ from .inputs import CAMERA, random_covariance, random_landmarks, random_points_c
 def points(rng):
     yield "one point, 10 m ahead", (CAMERA, np.array([[0.0, 0.0, 10.0]]))
     for _ in range(5):
-        yield "random", (CAMERA, random_points_cam(rng, 4))
+        yield "random", (random_camera(rng), random_points_cam(rng, 4))
 
 
 def _homogeneous(points_cam):
@@ -57,10 +57,16 @@ def _(camera, points_cam):
     return np.stack([u, v, u, v], axis=-1)
 
 
+@project.mistake("principal point forgotten", "Pixels are counted from the corner of the image: add c_u and c_v.")
+def _(camera, points_cam):
+    c_u, c_v = camera.K[:2, 2]
+    return camera.project(points_cam)[0] - [c_u, c_v, c_u, c_v]
+
+
 def one_point(rng):
     yield "10 m ahead", (CAMERA, np.array([0.0, 0.0, 10.0]))
     for _ in range(6):
-        yield "random", (CAMERA, random_points_cam(rng, 1)[0])
+        yield "random", (random_camera(rng), random_points_cam(rng, 1)[0])
 
 
 @exercise(chapter=3, cases=one_point, shows=[StereoCamera.projection_jacobian, stereo.dpi_dq], hints=[
@@ -114,8 +120,8 @@ def _(camera, point_cam):
 
 def one_landmark(rng):
     for _ in range(6):
-        world_T_imu = random_pose(rng)
-        yield "random", (CAMERA, world_T_imu, random_landmarks(rng, world_T_imu, 1)[0])
+        world_T_imu, camera = random_pose(rng), random_camera(rng)
+        yield "random", (camera, world_T_imu, random_landmarks(rng, world_T_imu, 1, camera)[0])
 
 
 @exercise(chapter=3, cases=one_landmark, hints=[
@@ -159,6 +165,18 @@ def _(camera, world_T_imu, landmark):
     return q[2] * camera.landmark_jacobian(world_T_imu, landmark)
 
 
+@landmark_jacobian.mistake("sign flipped", """Only the pose enters through its inverse; the derivative by the landmark
+has no minus.""")
+def _(camera, world_T_imu, landmark):
+    return -camera.landmark_jacobian(world_T_imu, landmark)
+
+
+@landmark_jacobian.mistake("imu_T_cam in place of cam_T_imu", "From the IMU to the camera goes cam_T_imu.")
+def _(camera, world_T_imu, landmark):
+    q = camera.to_cam(world_T_imu, landmark)
+    return _landmark_jacobian(camera, q, camera.imu_T_cam[:3, :3] @ world_T_imu[:3, :3].T)
+
+
 @landmark_jacobian.mistake("taken at the point in the IMU frame", """dpi/dq is taken at q, the point in the camera
 frame, depth along z. In the IMU frame z points up.""")
 def _(camera, world_T_imu, landmark):
@@ -171,7 +189,7 @@ def _(camera, world_T_imu, landmark):
 
 def updates(rng):
     for n, m in [(1, 1), (3, 2), (3, 2), (6, 4), (6, 4)]:
-        label = f"{n} unknown{'s' * (n > 1)}, {m} measurement{'s' * (m > 1)}"
+        label = "random" if n > 1 else "1 unknown, 1 measurement"
         yield label, (random_covariance(rng, n, 1.0), rng.normal(size=(m, n)), random_covariance(rng, m, 1.0),
                       rng.normal(size=m))
 
@@ -235,10 +253,17 @@ def _(covariance, H, V, residual):
     return K @ residual, (np.eye(len(covariance)) - K @ H) @ covariance
 
 
+@kalman_update.mistake("gain without the covariance", """The gain is P H^T S^-1: without P it does not know what is
+uncertain.""")
+def _(covariance, H, V, residual):
+    K = H.T @ np.linalg.inv(H @ covariance @ H.T + V)
+    return K @ residual, (np.eye(len(covariance)) - K @ H) @ covariance
+
+
 def noises(rng):
     yield "one measurement", (random_covariance(rng, 4, 1.0), 1)
     for n in (2, 3, 5):
-        yield "several measurements", (random_covariance(rng, 4, 1.0), n)
+        yield "random", (random_covariance(rng, 4, 1.0), n)
 
 
 @exercise(chapter=3, cases=noises, shows=[np.kron], hints=[
@@ -279,9 +304,9 @@ def _(V, n):
 def corrections(rng):
     yield "all accepted", (rng.normal(size=(3, 3)), np.array([0, 1, 2]), np.ones(3, bool), rng.normal(size=(3, 3)))
     for _ in range(4):
-        ids = np.sort(rng.choice(8, size=5, replace=False))
+        ids = rng.choice(8, size=5, replace=False)
         accepted = np.array([True, False, True, True, False])
-        yield "two rejected", (rng.normal(size=(8, 3)), ids, accepted, rng.normal(size=(5, 3)))
+        yield "random", (rng.normal(size=(8, 3)), ids, accepted, rng.normal(size=(5, 3)))
 
 
 @exercise(chapter=3, cases=corrections, shows=[mapping.run], hints=[

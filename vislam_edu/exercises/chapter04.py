@@ -7,7 +7,7 @@ from .. import kalman, odometry, se3
 from ..stereo import StereoCamera
 from .chapter03 import one_landmark
 from .exercise import exercise
-from .inputs import CAMERA, perturbed, random_covariance, random_landmarks, random_pose
+from .inputs import perturbed, random_camera, random_covariance, random_landmarks, random_pose
 
 
 def bare_points(rng):
@@ -106,10 +106,11 @@ def _(camera, world_T_imu, landmark):
 
 def frames(rng):
     for _ in range(4):
-        true = random_pose(rng)
-        landmarks = random_landmarks(rng, true, 5)
-        pixels = CAMERA.project(CAMERA.to_cam(true, landmarks))[0] + rng.normal(size=(5, 4))
-        yield "random", (CAMERA, perturbed(rng, true), random_covariance(rng, 6, 0.05), landmarks, pixels, 1.5)
+        true, camera = random_pose(rng), random_camera(rng)
+        landmarks = random_landmarks(rng, true, 5, camera)
+        pixels = camera.project(camera.to_cam(true, landmarks))[0] + rng.normal(size=(5, 4))
+        yield "random", (camera, perturbed(rng, true), random_covariance(rng, 6, 0.05), landmarks, pixels,
+                         rng.uniform(0.7, 3.0))
 
 
 def _correction(camera, world_T_imu, covariance, landmarks, pixels, V):

@@ -94,7 +94,7 @@ def births(rng):
     yield "the first landmark", (random_covariance(rng, 6), random_pose(rng), np.array([8.0, 1.0, 0.5]),
                                  random_covariance(rng, 3, 0.3))
     for n in (1, 2, 3):
-        yield "a further landmark", (random_covariance(rng, 3 * n + 6), random_pose(rng),
+        yield "random", (random_covariance(rng, 3 * n + 6), random_pose(rng),
                                      np.array([8.0, 0.0, 0.0]) + rng.normal(size=3), random_covariance(rng, 3, 0.3))
 
 
@@ -200,7 +200,7 @@ def jacobians(rng):
     yield "one landmark", (rng.normal(size=(1, 4, 3)), rng.normal(size=(1, 4, 6)), np.array([0]), 1)
     for rows in ([0, 1], [2, 0, 3], [1, 4, 2]):
         m = len(rows)
-        yield "some landmarks of five", (rng.normal(size=(m, 4, 3)), rng.normal(size=(m, 4, 6)), np.array(rows), 5)
+        yield "random", (rng.normal(size=(m, 4, 3)), rng.normal(size=(m, 4, 6)), np.array(rows), 5)
 
 
 def _assembled(H_landmark, H_pose, n, columns):
@@ -259,7 +259,7 @@ def _(H_landmark, H_pose, rows, n):
 def joint_updates(rng):
     for n in (1, 2, 3):
         d = 3 * n + 6
-        yield f"{n} landmark{'s' * (n > 1)}", (
+        yield "random" if n > 1 else "1 landmark", (
             random_pose(rng), rng.normal(size=(n, 3)), random_covariance(rng, d, 0.3),
             rng.normal(size=(4 * n, d)), rng.normal(size=4 * n), random_covariance(rng, 4 * n, 0.5))
 

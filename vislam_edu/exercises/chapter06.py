@@ -107,7 +107,7 @@ def _(errors, covariances):
 
 def bands(rng):
     yield "one run", (6, 1, 0.95)
-    yield "50 runs", (6, 50, 0.95)
+    yield "random", (6, 50, 0.95)
     yield "rotation only", (3, 20, 0.99)
     yield "NIS", (4, 100, 0.9)
 

@@ -6,7 +6,7 @@ from scipy.linalg import block_diag
 from .. import se3
 from ..error_state import RightInvariant, RightPerturbation
 from .exercise import exercise
-from .inputs import CAMERA, random_landmarks, random_pose
+from .inputs import random_camera, random_landmarks, random_pose
 
 _INVARIANT = RightInvariant()
 
@@ -16,7 +16,8 @@ def steps(rng):
     for n in (1, 2, 4):
         T = random_pose(rng)
         twist = rng.normal(size=6)
-        yield "random", (T, random_landmarks(rng, T, n), 0.1 * se3.right_jacobian(0.1 * twist))
+        tau = rng.uniform(0.05, 0.3)
+        yield "random", (T, random_landmarks(rng, T, n), tau * se3.right_jacobian(tau * twist))
 
 
 def _stacked(landmark_rows, B):
@@ -75,9 +76,9 @@ def _(world_T_imu, landmarks, body_noise):
 
 def measurements(rng):
     for n in (1, 3, 3):
-        T = random_pose(rng)
-        landmarks = random_landmarks(rng, T, n)
-        yield "random", (CAMERA.measurement_jacobian(CAMERA.to_cam(T, landmarks)), T)
+        T, camera = random_pose(rng), random_camera(rng)
+        landmarks = random_landmarks(rng, T, n, camera)
+        yield "random", (camera.measurement_jacobian(camera.to_cam(T, landmarks)), T)
 
 
 @exercise(chapter=7, cases=measurements, shows=[RightInvariant.jacobians], outputs=("H_landmark", "H_pose"), hints=[

@@ -15,6 +15,7 @@ import textwrap
 
 from ..plots.style import on_a_page
 from .exercise import EXERCISES, find
+from .picture import Picture
 from .running import copied
 from .verdict import Verdict, judge
 
@@ -30,13 +31,14 @@ class Check:
         self.last: Verdict | None = None
         self.__doc__ = exercise.statement
 
-    def __call__(self, function) -> None:
-        """Try the function and print the verdict."""
+    def __call__(self, function) -> Picture | None:
+        """Try the function and print the verdict; a notebook shows the picture of what is wrong, where there is one."""
         verdict = self.verdict(function)
         print(on_a_page(verdict.text))
         _record(verdict)
         if os.environ.get(NBGRADER) and not verdict.right:
             raise AssertionError(verdict.text)
+        return verdict.picture
 
     def verdict(self, function) -> Verdict:
         """Try the function and return the verdict; prints nothing."""

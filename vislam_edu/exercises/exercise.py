@@ -23,6 +23,7 @@ import numpy as np
 EXERCISES: dict[str, "Exercise"] = {}  # by name, in the order of the chapters
 
 SEED = 276
+ORDINARY = "random"  # label of inputs that are no special case
 
 _WIDTH = 96  # characters of a line in a stub: more would have to be scrolled in JupyterLab
 
@@ -89,9 +90,12 @@ class Exercise:
         return _STUB.format(name=self.name, signature=inspect.signature(self.reference),
                             doc="\n\n".join(paragraphs).lstrip(), tolerance=short(self.tolerance))
 
-    def inputs(self) -> list:
-        """The (label, arguments) the answer is tried on: always the same, freshly made."""
-        return list(self.cases(np.random.default_rng(SEED)))
+    def inputs(self, seed: int = SEED) -> list:
+        """The (label, arguments) the answer is tried on: always the same, freshly made.
+
+        Ordinary ones come first, so that a student is shown one of these where all are wrong.
+        """
+        return sorted(self.cases(np.random.default_rng(seed)), key=lambda case: case[0] != ORDINARY)
 
     def expected(self, *arguments):
         """The right result, read as an answer's is."""

@@ -14,24 +14,24 @@ from .running import Outcome, outcome_of
 
 
 def recognise(exercise, cases, outcomes, expected):
-    """The mistake behind an answer's outcomes, and whether it explains every input: (Mistake or None, bool).
+    """The pieces that give an answer's numbers on every input, and else a guess: (list of Mistake, Mistake or None).
 
-    expected : the right results. A mistake that explains all inputs wins; else the one that explains most of those
-    that came out wrong, if it explains the first of them, which the student is shown, and at least half of all.
+    expected : the right results. The guess is the piece that explains most of the inputs that came out wrong, if it
+    explains the first of them, which the student is shown, and at least half of all.
     """
     wrong = [i for i, (outcome, should) in enumerate(zip(outcomes, expected))
              if outcome.values is None or differs(exercise, outcome, should)]
-    best, most = None, 0
+    pieces, best, most = [], None, 0
     for mistake in exercise.mistakes:
         with np.errstate(all="ignore"):
             same = [_same(exercise, outcome, outcome_of(exercise, mistake.function, arguments))
                     for outcome, (_, arguments) in zip(outcomes, cases)]
-        if wrong and all(same):
-            return mistake, True
         explained = sum(same[i] for i in wrong)
-        if explained > most and same[wrong[0]] and 2 * explained >= len(wrong):
+        if wrong and all(same):
+            pieces.append(mistake)
+        elif explained > most and same[wrong[0]] and 2 * explained >= len(wrong):
             best, most = mistake, explained
-    return best, False
+    return pieces, None if pieces else best
 
 
 def _same(exercise, outcome, piece: Outcome) -> bool:

@@ -1,10 +1,14 @@
 """Calling a function that someone else wrote: copies in, arrays out, a time limit, and errors named as theirs."""
 
+import ast
 import contextlib
+import copy
 import ctypes
+import inspect
 import linecache
 import re
 import sysconfig
+import textwrap
 import threading
 import traceback
 import warnings
@@ -12,6 +16,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+
+from . import surroundings
 
 LIMIT = 5.0  # s, for all inputs of one check together; a right answer takes milliseconds
 _GRACE = 0.2  # s, for a stopped answer to end
@@ -34,16 +40,19 @@ class Outcome:
     """What came of one input: either `values`, or the `error` that was raised.
 
     blank : the function is a stub (it raised NotImplementedError, or returned None or `...`), or calls one: then
-    `calls` names it.
+    `calls` names it. nothing : it returned None.
     changed : names of the arguments that the call changed. precise : no result was of less than 64 bits.
+    remarks : what was made of an unusual result, in words.
     """
 
     values: list | None = None
     error: BaseException | None = None
     blank: bool = False
     calls: str = ""
+    nothing: bool = False
     changed: tuple[str, ...] = ()
     precise: bool = True
+    remarks: tuple[str, ...] = ()
 
 
 def answers(exercise, function, cases, limit=LIMIT) -> tuple[list[Outcome], str]:
@@ -63,7 +72,8 @@ def answers(exercise, function, cases, limit=LIMIT) -> tuple[list[Outcome], str]
                 if outcomes[-1].blank:
                     return
 
-    ended = within(work, limit)
+    with surroundings.guarded():
+        ended = within(work, limit)
     return outcomes[:len(cases)], ended if len(outcomes) < len(cases) else ""
 
 
@@ -109,25 +119,53 @@ def outcome_of(exercise, function, arguments) -> Outcome:
     except BaseException as error:  # SystemExit included: an answer must not end the kernel
         return Outcome(error=error)
     if result is None or result is ... or result is NotImplemented:
-        return Outcome(blank=True)
+        return Outcome(blank=True, nothing=result is None)
     changed = tuple(name for name, before, after in zip(exercise.arguments, arguments, given)
                     if isinstance(before, np.ndarray) and not np.array_equal(before, after, equal_nan=True))
     try:
-        values, precise = arrays(result, exercise.outputs)
+        values, precise, remarks = read(result, exercise.outputs)
     except Unreadable as error:
         return Outcome(error=error, changed=changed)
-    return Outcome(values, changed=changed, precise=precise)
+    return Outcome(values, changed=changed, precise=precise, remarks=remarks)
+
+
+def written(function) -> bool:
+    """Whether a function holds more than a stub does: its docstring, `raise`, `pass`, `...`, `return None`."""
+    try:
+        tree = ast.parse(textwrap.dedent(inspect.getsource(function)))
+    except (OSError, TypeError, SyntaxError):  # no source, or a lambda in the middle of a line
+        return False
+    functions = [node for node in tree.body if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)]
+    return any(not _is_stub_line(line) for node in functions[:1] for line in node.body)
+
+
+def _is_stub_line(line) -> bool:
+    if isinstance(line, ast.Expr | ast.Return):
+        return line.value is None or isinstance(line.value, ast.Constant)
+    return isinstance(line, ast.Raise | ast.Pass)
 
 
 def copied(argument):
-    """An argument that may be written to: arrays are copied, all else (numbers, the camera) cannot change."""
+    """An argument that may be written to: a copy of an array or of the camera; numbers cannot change."""
     if isinstance(argument, tuple):
         return tuple(map(copied, argument))
-    return argument.copy() if isinstance(argument, np.ndarray) else argument
+    if isinstance(argument, np.ndarray):
+        return argument.copy()
+    return argument if isinstance(argument, bool | int | float) else copy.deepcopy(argument)
 
 
 def arrays(result, names) -> tuple[list, bool]:
     """A result as a list of float arrays, and whether all of them came with 64 bits. Raises Unreadable."""
+    values, precise, _ = read(result, names)
+    return values, precise
+
+
+def read(result, names) -> tuple[list, bool, tuple[str, ...]]:
+    """A result as a list of float arrays, whether all came with 64 bits, and remarks. Raises Unreadable."""
+    remarks: dict[str, None] = {}
+    if names and isinstance(result, np.ndarray) and result.dtype.kind in "biuf" and result.shape[:1] == (len(names),):
+        remarks[f"It returned one array where {len(names)} results are asked for; it was taken apart."] = None
+        result = tuple(result)
     if not names:
         parts = [result]
     elif isinstance(result, (tuple, list)) and len(result) == len(names):
@@ -137,15 +175,37 @@ def arrays(result, names) -> tuple[list, bool]:
         raise Unreadable(f"it must return {len(names)} results, {', '.join(names)}; it returned {got}")
     values, precise = [], True
     for part, name in zip(parts, names or ["the result"]):
-        try:
-            array = np.asarray(part)
-        except ValueError:
-            raise Unreadable(f"{name} is a list whose rows have different lengths") from None
+        array = _array(part, name, remarks)
         if array.dtype.kind not in "biuf":
             raise Unreadable(f"{name} must be an array of real numbers, not {type(part).__name__} of {array.dtype}")
         precise &= array.dtype.kind != "f" or array.dtype.itemsize >= 8
         values.append(np.array(array, dtype=float))
-    return values, precise
+    return values, precise, tuple(remarks)
+
+
+def _array(part, name, remarks) -> np.ndarray:
+    """One result as an array; what is unusual and still has numbers is converted, with a remark."""
+    if inspect.isgenerator(part) or isinstance(part, map | zip | filter):
+        raise Unreadable(f"{name} is a {type(part).__name__}, which makes its values one by one: wrap it in list(...)")
+    if inspect.iscoroutine(part):
+        part.close()
+        raise Unreadable("the function is a coroutine: write def, not async def")
+    if hasattr(part, "toarray"):
+        remarks[f"({name} came as a sparse matrix and was made a plain array.)"] = None
+        part = part.toarray()
+    try:
+        array = np.asarray(part)
+    except ValueError:
+        raise Unreadable(f"{name} is a list whose rows have different lengths") from None
+    if array.dtype.kind == "c" and not array.imag.any():
+        remarks[f"({name} came as complex numbers without imaginary parts: take .real.)"] = None
+        return array.real
+    if array.dtype.kind == "O":
+        with contextlib.suppress(TypeError, ValueError):
+            plain = array.astype(float)
+            remarks[f"({name} came as an array of Python objects and was made one of numbers.)"] = None
+            return plain
+    return array
 
 
 def _their_frames(error):

@@ -131,7 +131,7 @@ def use():
     rcParams.update(_RC)
     shell = _ipython()
     if shell is not None:
-        shell.display_formatter.formatters["image/png"].for_type(MatplotlibFigure, _png_and_alt)
+        shell.display_formatter.formatters["image/png"].for_type(MatplotlibFigure, png_and_alt)
 
 
 def context():
@@ -162,7 +162,7 @@ def _ipython():
     return module.get_ipython() if module else None
 
 
-def _png_and_alt(figure):
+def png_and_alt(figure):
     """A figure as IPython stores it: the PNG in base64, and the metadata of that output."""
     file = io.BytesIO()
     figure.savefig(file, format="png", dpi="figure", bbox_inches="tight", **PNG)
