@@ -82,6 +82,17 @@ def predict_covariance(covariance, twist, tau, Q):
     return F @ covariance @ F.T + B @ Q @ B.T
 
 
+def datasheet_noise(angle_random_walk, velocity_density, rate):
+    tau = 1 / rate
+    gyro_density = np.radians(angle_random_walk) / np.sqrt(3600)
+    sigma_v = velocity_density * np.sqrt(rate)
+    sigma_omega = gyro_density * np.sqrt(rate)
+    W = np.zeros((6, 6))
+    W[:3, :3] = tau**2 * sigma_v**2 * np.eye(3)
+    W[3:, 3:] = tau**2 * sigma_omega**2 * np.eye(3)
+    return W
+
+
 # --- chapter 2 --------------------------------------------------------------------------------------------
 
 
