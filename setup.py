@@ -7,7 +7,8 @@ from setuptools import setup
 from setuptools.command.build_py import build_py
 
 HERE = Path(__file__).parent
-SHIPPED = ("data/*.npz", "notebooks/*.ipynb", "notebooks/images/*", "benchmarks/results/*.json", "docs/*.md")
+SHIPPED = ("data/*.npz", "notebooks/*.ipynb", "notebooks/images/*", "benchmarks/results/*.json",
+           "docs/notation.md", "docs/reading.md", "docs/instructor.md")
 
 
 class BuildWithNotebooks(build_py):

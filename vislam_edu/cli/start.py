@@ -9,7 +9,7 @@ from ..recordings import files, shipped
 from .arguments import OptionError
 
 FIRST = "00_start_here.ipynb"
-COPIED = ("notebooks/*.ipynb", "notebooks/images/*", "docs/*.md")
+COPIED = ("notebooks/*.ipynb", "notebooks/images/*", "docs/notation.md", "docs/reading.md", "docs/instructor.md")
 
 
 def add_arguments(parser):

@@ -1,0 +1,90 @@
+"""The web pages: `python -m sphinx -b html docs OUT`, offline, from the stored notebooks.
+
+The notebooks are copied into docs/notebooks with their stored outputs. Those with an explorer are run once more, each
+explorer is saved as a page of its own, and takes the place of its still picture. `-D live=05_vi_slam` runs only that
+one (a comma separates several), `-D live=` none.
+"""
+
+import shutil
+import tempfile
+from pathlib import Path
+
+import nbformat
+from nbclient import NotebookClient
+from nbformat.v4 import new_code_cell, new_output
+
+import vislam_edu
+
+HERE = Path(__file__).resolve().parent
+SERIES, COPIES, PAGES = HERE.parent / "notebooks", HERE / "notebooks", HERE / "_live" / "explorers"
+
+project, author, release = "vislam_edu", "vislam_edu contributors", vislam_edu.__version__
+extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx-mathjax-offline"]
+html_theme, html_title = "furo", "vislam_edu: visual-inertial SLAM"
+html_static_path, html_css_files, html_extra_path = ["_static"], ["site.css"], ["_live"]
+exclude_patterns = ["_live"]
+nb_execution_mode = "off"
+nb_mime_priority_overrides = [("html", "text/html", 1), ("html", "image/png", 2)]  # not the empty view of a widget
+myst_enable_extensions = ["amsmath", "dollarmath"]
+myst_heading_anchors = 2
+autodoc_member_order = "bysource"
+autodoc_typehints = "signature"
+suppress_warnings = ["misc.highlighting_failure", "myst.header", "myst.xref_missing"]
+
+
+def is_explorer(output):
+    return output.get("data", {}).get("text/plain", "").startswith("Explorer(")
+
+
+def live_pages(path, notebook):
+    """Run a notebook and save every explorer that it shows as a page; returns {cell id: file name}."""
+    saved, run = {}, nbformat.from_dict(notebook)
+    cells = []
+    for cell in run.cells:
+        cells.append(cell)
+        if any(is_explorer(output) for output in cell.get("outputs", [])):
+            saved[cell.id] = f"{path.stem}-{cell.id}.html"
+            cells.append(new_code_cell(f"Out[max(Out)].save_html({str(PAGES / saved[cell.id])!r})"))
+    if saved:
+        PAGES.mkdir(parents=True, exist_ok=True)
+        run.cells = cells
+        with tempfile.TemporaryDirectory() as folder:  # nothing that a cell writes may end up beside the notebooks
+            NotebookClient(run, timeout=300, resources={"metadata": {"path": folder}}).execute()
+    return saved
+
+
+def frame(file, alt):
+    """An output that shows a saved explorer."""
+    return new_output("display_data", {"text/html": (
+        f'<iframe src="../explorers/{file}" title="{alt}" loading="lazy" style="width:100%; height:720px; '
+        f'border:0"></iframe><p><a href="../explorers/{file}">The explorer on a page of its own</a></p>')})
+
+
+def prepare(app):
+    """Copy the notebooks: explorers live, every picture with the alternative text that its output carries."""
+    (HERE / "_live").mkdir(exist_ok=True)
+    shutil.rmtree(COPIES, ignore_errors=True)
+    shutil.copytree(SERIES / "images", COPIES / "images")
+    wanted = None if app.config.live == "all" else app.config.live.split(",")
+    for path in sorted(SERIES.glob("*.ipynb")):
+        notebook = nbformat.read(path, as_version=4)
+        saved = live_pages(path, notebook) if wanted is None or path.stem in wanted else {}
+        for cell in notebook.cells:
+            for k, output in enumerate(cell.get("outputs", [])):
+                alt = output.get("metadata", {}).get("image/png", {}).get("alt")
+                if alt:
+                    cell.metadata.setdefault("mystnb", {})["image"] = {"alt": alt}
+                if cell.get("id") in saved and is_explorer(output):
+                    cell.outputs[k] = frame(saved[cell.id], (alt or "explorer").replace('"', "'"))
+        nbformat.write(notebook, COPIES / path.name)
+
+
+def as_it_is(app, what, name, obj, options, lines):
+    """Docstrings are plain text made to be read in an editor: shown as they are, not as reStructuredText."""
+    lines[:] = ["::", "", *(f"    {line}" for line in lines), ""]
+
+
+def setup(app):
+    app.add_config_value("live", "all", "env", str)
+    app.connect("builder-inited", prepare)
+    app.connect("autodoc-process-docstring", as_it_is)

@@ -1,0 +1,87 @@
+"""The web pages, built as the workflow builds them, in a browser that may not reach anything else."""
+
+import functools
+import http.server
+import json
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("myst_nb", reason="the web pages need environment-dev.txt")
+
+CLONE = Path(__file__).resolve().parents[2]
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory):
+    """Address of the built pages; of the explorers only that of chapter 05, which the first page shows."""
+    out = tmp_path_factory.mktemp("site")
+    subprocess.run([sys.executable, "-m", "sphinx", "-q", "-b", "html", "-D", "live=05_vi_slam", "docs", str(out)],
+                   cwd=CLONE, check=True)
+    handler = functools.partial(http.server.SimpleHTTPRequestHandler, directory=out)
+    handler.log_message = lambda *_: None
+    server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler)
+    threading.Thread(target=server.serve_forever, daemon=True).start()
+    yield f"http://127.0.0.1:{server.server_port}/"
+    server.shutdown()
+    server.server_close()
+
+
+@pytest.fixture
+def page(chromium, site):
+    """A page that notes every request that would leave."""
+    left = []
+    opened = chromium.new_page(viewport={"width": 1300, "height": 950})
+    opened.on("request", lambda request: request.url.startswith(("http:", "https:", "ws:"))
+              and not request.url.startswith(site) and left.append(request.url))
+    opened.left = left
+    yield opened
+    opened.close()
+    assert left == []
+
+
+def test_the_first_page_shows_an_explorer_that_the_keyboard_steps(page, site):
+    page.goto(site)
+    explorer = page.frame_locator("iframe")
+    slider = explorer.locator("input[type=range]").first
+    slider.wait_for()
+    before = slider.input_value()
+    explorer.locator("canvas").first.click()
+    page.keyboard.press("ArrowRight")
+    page.wait_for_function("before => document.querySelector('iframe').contentDocument"
+                           ".querySelector('input[type=range]').value !== before", arg=before)
+    assert "environment.txt" in page.locator("pre").first.inner_text()
+
+
+def test_every_chapter_is_one_click_away_and_its_mathematics_is_set(page, site):
+    page.goto(site)
+    links = page.locator(".sidebar-tree a").evaluate_all("links => links.map(link => link.href)")
+    chapters = [link for link in links if "/notebooks/" in link]
+    assert len(chapters) == len(list((CLONE / "notebooks").glob("*.ipynb")))
+    for link in [chapters[1], chapters[7]]:
+        page.goto(link)
+        page.wait_for_selector("mjx-container")
+        assert page.locator("mjx-merror").count() == 0
+        assert page.locator("img:not([alt])").count() == 0
+
+
+def test_pictures_keep_their_alternative_text(page, site):
+    page.goto(f"{site}notebooks/02_stereo_triangulation.html")
+    alts = page.locator("article img").evaluate_all("images => images.map(image => image.alt)")
+    assert alts
+    assert all(len(alt) > 30 for alt in alts), alts
+
+
+def test_search_finds_a_word_without_a_server(page, site):
+    page.goto(f"{site}search.html?q=banana")
+    page.wait_for_selector("#search-results a")
+    assert "01" in page.locator("#search-results a").first.inner_text()
+
+
+def test_what_one_click_platforms_read_is_well_formed():
+    assert "environment.txt" in (CLONE / ".binder" / "requirements.txt").read_text()
+    container = json.loads((CLONE / ".devcontainer" / "devcontainer.json").read_text())
+    assert container["postCreateCommand"] == "python -m pip install -r environment.txt"
