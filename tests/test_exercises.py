@@ -395,3 +395,15 @@ def test_the_inputs_are_the_same_each_time():
 
 def test_the_limit_leaves_room_for_a_busy_machine():
     assert running.LIMIT >= 2
+
+
+def test_where_no_thread_can_start_the_checks_of_chapter_1_work_without_a_time_limit(monkeypatch):
+    def start(_):
+        raise RuntimeError("can't start new thread")
+
+    monkeypatch.setattr(threading.Thread, "start", start)
+    for exercise in (one for one in EXERCISES.values() if one.chapter == 1):
+        assert judge(exercise, exercise.reference).right
+        verdict = judge(exercise, exercise.mistakes[0].function)
+        assert verdict.status == WRONG
+        assert verdict.mistake == exercise.mistakes[0].name
