@@ -138,6 +138,16 @@ def test_a_study_is_the_same_on_any_number_of_workers_and_when_resumed(tmp_path)
     assert [files[i].stat().st_mtime_ns for i in (0, 2)] == before
 
 
+@pytest.mark.filterwarnings("ignore")  # dask's own, of its sockets and event loop
+def test_a_study_is_the_same_on_a_dask_cluster():
+    distributed = pytest.importorskip("distributed", reason="dask is an extra: pip install distributed")
+    filters = consistency.standard_filters(Noise())
+    alone = consistency.monte_carlo(make_short_drive, filters, range(3))
+    with (distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster,
+          distributed.Client(cluster), joblib.parallel_config(backend="dask")):
+        assert same(alone, consistency.monte_carlo(make_short_drive, filters, range(3)))
+
+
 def test_runs_of_another_study_are_not_taken_for_this_one(tmp_path):
     filters = consistency.standard_filters(Noise())
     consistency.monte_carlo(make_short_drive, filters, [0], tmp_path)

@@ -13,7 +13,6 @@ else. Errors are ordered [landmarks 3n, position 3, rotation 3]: landmarks befor
 from abc import ABC, abstractmethod
 
 import numpy as np
-from scipy.linalg import block_diag
 
 from . import se3
 
@@ -129,8 +128,9 @@ class RightPerturbation(ErrorState):
 
     def world_pose(self, world_T_imu: np.ndarray) -> np.ndarray:
         """Position and rotation turned from the body into the world: diag(R, R)."""
-        R = world_T_imu[:3, :3]
-        return block_diag(R, R)
+        C = np.zeros((6, 6))
+        C[:3, :3] = C[3:, 3:] = world_T_imu[:3, :3]
+        return C
 
 
 class RightInvariant(ErrorState):

@@ -12,7 +12,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from scipy.stats import chi2
+from numpy.typing import ArrayLike
+from scipy.special import gammaincinv
 
 
 def central_difference(f: Callable[[np.ndarray], np.ndarray], n: int, step: float = 1e-6) -> np.ndarray:
@@ -42,6 +43,17 @@ def nis(residual: np.ndarray, S: np.ndarray) -> np.ndarray:
     return np.sum(residual * np.linalg.solve(S, residual[..., None])[..., 0], axis=-1)
 
 
+def chi_square_quantile(probability: ArrayLike, dof: ArrayLike) -> np.ndarray:
+    """What a chi-square number of `dof` degrees of freedom stays below with this probability, in [0, 1].
+
+    The same numbers as `scipy.stats.chi2.ppf`, whose module takes half a second to import.
+
+    >>> float(chi_square_quantile(0.95, 2).round(3))
+    5.991
+    """
+    return 2 * gammaincinv(np.divide(dof, 2), probability)
+
+
 def gate_threshold(probability: float, dof: int = 4) -> float:
     """The NIS that a correct measurement stays below with this probability; infinite for 1 (no gate).
 
@@ -49,7 +61,7 @@ def gate_threshold(probability: float, dof: int = 4) -> float:
     """
     if not 0 < probability <= 1:
         raise ValueError(f"a gate is a probability in (0, 1], got {probability!r}; 1 switches it off")
-    return float(chi2.ppf(probability, dof))
+    return float(chi_square_quantile(probability, dof))
 
 
 def gain(covariance: np.ndarray, H: np.ndarray, S: np.ndarray) -> np.ndarray:

@@ -19,9 +19,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.stats import chi2
 
-from . import se3
+from . import kalman, se3
 from .kalman import Step
 
 if TYPE_CHECKING:
@@ -181,7 +180,7 @@ def coverage(error: np.ndarray, covariance: np.ndarray, probability: float = 0.9
     """
     if not 0 < probability < 1:
         raise ValueError(f"an ellipsoid holds a probability in (0, 1), got {probability!r}")
-    return float(np.mean(nees(error, covariance) < chi2.ppf(probability, np.shape(error)[-1])))
+    return float(np.mean(nees(error, covariance) < kalman.chi_square_quantile(probability, np.shape(error)[-1])))
 
 
 @dataclass(frozen=True, eq=False)
@@ -243,5 +242,5 @@ def chi2_band(dof: float, runs: int = 1, probability: float = 0.99) -> tuple[flo
     if not runs >= 1:
         raise ValueError(f"runs must be at least 1, got {runs!r}")
     tail = (1 - probability) / 2
-    low, high = chi2.ppf([tail, 1 - tail], dof * runs) / runs
+    low, high = kalman.chi_square_quantile([tail, 1 - tail], dof * runs) / runs
     return float(low), float(high)

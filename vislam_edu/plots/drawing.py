@@ -13,7 +13,7 @@ import textwrap
 
 import numpy as np
 from matplotlib.collections import LineCollection
-from scipy.stats import norm
+from scipy.special import ndtri
 
 from .. import se3
 from . import style
@@ -24,7 +24,7 @@ _MAP_HEIGHTS = (3.0, 5.4)  # inches, least and greatest height of a map's axes
 _TITLE_CHARACTERS = 64  # of a line above the axes
 _LINE = 0.2  # inches, a line of a title or a legend
 _LEGEND_HANDLE, _LEGEND_CHARACTER = 0.6, 0.063  # inches
-TWO_SIDED_95 = float(norm.ppf(0.975))
+TWO_SIDED_95 = float(ndtri(0.975))
 
 
 # --- geometry ---------------------------------------------------------------------------------------------

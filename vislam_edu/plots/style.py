@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 from matplotlib import rc_context, rcParams
 from matplotlib.figure import Figure as MatplotlibFigure
-from scipy.stats import chi2
+
+from .. import kalman
 
 COLOURS = {
     # who says it: trajectories and maps
@@ -232,7 +233,7 @@ def ellipse_points(mean, covariance, probability=0.95, n=60):
     if not 0 < probability < 1:
         raise ValueError(f"probability must lie in (0, 1), got {probability!r}")
     values, axes = np.linalg.eigh(np.asarray(covariance, dtype=float))
-    radii = np.sqrt(chi2.ppf(probability, 2) * np.maximum(values, 0.0))
+    radii = np.sqrt(kalman.chi_square_quantile(probability, 2) * np.maximum(values, 0.0))
     angle = np.linspace(0, 2 * np.pi, n)
     circle = np.stack([np.cos(angle), np.sin(angle)])
     outline = (axes * radii[..., None, :]) @ circle

@@ -1,9 +1,8 @@
 """Axes and legends with small lettering, shared by the pictures of several chapters."""
 
 import numpy as np
-from scipy.stats import chi2
 
-from .. import plots
+from .. import kalman, plots
 from ..simulate import IMAGE_SIZE
 
 # Points. GitHub shows a picture of 1000 px 830 px wide, where lettering of 9.5 points measures 8.2.
@@ -63,4 +62,4 @@ def image_axes(picture, rect, title):
 def nis_band(n_numbers):
     """NIS / degrees of freedom that 95 % of honest frames show, (2, ...), for frames of so many numbers."""
     n_numbers = np.asarray(n_numbers)
-    return np.array([chi2.ppf(p, n_numbers) / n_numbers for p in (0.025, 0.975)])
+    return np.array([kalman.chi_square_quantile(p, n_numbers) / n_numbers for p in (0.025, 0.975)])
