@@ -6,7 +6,7 @@ import reference
 from numerical import central_difference
 from scipy.linalg import expm
 
-from vislam_edu import ekf_slam, simulate
+from vislam_edu import ekf_slam, mapping, odometry, simulate, window_slam
 from vislam_edu.kalman import Belief
 from vislam_edu.noise import Noise
 
@@ -121,3 +121,30 @@ def test_the_belief_cannot_be_written_to(belief):
     assert isinstance(belief[1], Belief)
     with pytest.raises(ValueError, match="read-only"):
         belief[1].covariance[0, 0] = 1.0
+
+
+# --- what every filter reports of a frame ----------------------------------------------------------------------
+
+@pytest.mark.parametrize("name", ["mapping", "odometry", "ekf_slam", "window_slam"])
+def test_steps_say_what_their_docstring_promises(name):
+    drive = simulate.street_loop(seed=2, frames=12, visible=8)
+    runs = {"mapping": lambda: mapping.run(drive, NOISE, drive.true_world_T_imu),
+            "odometry": lambda: odometry.localize(drive, NOISE, drive.true_landmarks),
+            "ekf_slam": lambda: ekf_slam.run(drive, NOISE),
+            "window_slam": lambda: window_slam.run(drive, NOISE)}
+    within = set()
+    steps = list(runs[name]())
+    assert [step.k for step in steps] == list(range(drive.n_frames))
+    assert [step.time for step in steps] == drive.times.tolist()
+    for step in steps:
+        seen, pixels = drive.observed(step.k)
+        assert set(step.innovation.ids) <= set(seen)
+        where = np.searchsorted(seen, step.innovation.ids)
+        np.testing.assert_array_equal(step.innovation.measured, pixels[where])
+        assert len(step.innovation.accepted) == len(step.innovation.nis) == len(step.innovation.ids)
+        assert step.born.dtype.kind == step.retired.dtype.kind == "i"
+        assert not set(step.born) & within
+        within = (within | set(step.born)) - set(step.retired)
+        if hasattr(step.posterior, "ids"):
+            assert within | set(step.retired) >= set(step.posterior.ids)
+    assert bool(within) == (name != "odometry")
