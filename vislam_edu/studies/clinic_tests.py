@@ -55,7 +55,7 @@ class Test:
 @lru_cache(32)
 def base_drive(seed: int) -> Drive:
     """60 frames along a street and around its first corner, about 15 landmarks in view."""
-    return simulate.street_loop(seed, frames=60, visible=15, life=(9, 100))
+    return street(seed)
 
 
 @lru_cache(32)
@@ -132,12 +132,77 @@ def gate_share(build: Build, seed: int) -> Readings:
     return {"kept out, %": 100 * (1 - accepted.mean()) + 0.5 if run.whole else LARGEST}
 
 
+def elsewhere(build: Build, seed: int, world_T_start: np.ndarray) -> Readings:
+    """The same drive from another start: no filter may notice where the world's origin lies."""
+    drive, here = base_drive(seed), numbers(build, seed)
+    there = numbers_of(driven(build, drive, seed, world_T_start=world_T_start), drive, world_T_start)
+    return {f"{name}, times that at 0": there[name] / here[name] for name in ("RMSE", "NIS", "NEES")}
+
+
 def ninety(build: Build, seed: int) -> Readings:
-    """The same drive with the world turned by 90 degrees: no filter may notice."""
-    drive, turn = base_drive(seed), se3.pose(se3.so3_exp(np.array([0, 0, np.pi / 2])), np.zeros(3))
-    turned = numbers_of(driven(build, drive, seed, world_T_start=turn), drive, turn)
-    straight = numbers(build, seed)
-    return {f"{name}, times that at 0": turned[name] / straight[name] for name in ("RMSE", "NIS", "NEES")}
+    return elsewhere(build, seed, se3.pose(se3.so3_exp(np.array([0, 0, np.pi / 2])), np.zeros(3)))
+
+
+def far_away(build: Build, seed: int) -> Readings:
+    return elsewhere(build, seed, se3.pose(np.eye(3), np.array([1000.0, 0, 0])))
+
+
+# Other drives for the three numbers: what a perfect sensor leaves is the fault of the other, or of the filter.
+OTHER_DRIVES: dict[str, Callable[[int], Drive]] = {
+    "perfect IMU": lambda seed: street(seed, sigma_v=0.0, sigma_omega=0.0),
+    "perfect camera": lambda seed: street(seed, sigma_px=0.0),
+    "straight": lambda seed: street(seed, loop_length=4000.0),
+    "half the rate": lambda seed: street(seed, frames=120).subsample(2),
+}
+
+
+def street(seed: int, **options: Any) -> Drive:
+    """`base_drive` with something else about it."""
+    return simulate.street_loop(seed, **{"frames": 60, "visible": 15, "life": (9, 100)} | options)
+
+
+def on_another_drive(name: str) -> Callable[[Build, int], Readings]:
+    """The three numbers on one of `OTHER_DRIVES`."""
+    make = lru_cache(8)(OTHER_DRIVES[name])
+    return lambda build, seed: numbers_of(driven(build, make(seed), seed), make(seed))
+
+
+def over_seeds(build: Build, seed: int) -> Readings:
+    """Mean NEES of four drives: a single one says little."""
+    drives = [street(4 * seed + i + 10_000) for i in range(4)]
+    return {"NEES": float(np.mean([numbers_of(driven(build, drive, seed), drive)["NEES"] for drive in drives]))}
+
+
+def by_block(build: Build, seed: int) -> Readings:
+    """NEES of rotation and position apart (3 each), and the heading's sigma at the end over that at the start."""
+    drive = base_drive(seed)
+    run = driven(build, drive, seed)
+    names = ("NEES of the rotation", "NEES of the position", "heading sigma, times that at the start")
+    if not run.whole:
+        return dict.fromkeys(names, LARGEST)
+    poses, P = (np.array([getattr(step.posterior, field) for step in run.steps])
+                for field in ("world_T_imu", "pose_covariance"))
+    nees = metrics.pose_nees(RightPerturbation(), drive.true_world_T_imu, poses, P)
+    return dict(zip(names, (nees.rotation.mean(), nees.position.mean(), np.sqrt(P[-1, 5, 5] / P[0, 5, 5]))))
+
+
+def residuals(build: Build, seed: int) -> Readings:
+    """2 px and the mean of the residuals in each row, and how a landmark's residual goes with its last one."""
+    run = driven(build, base_drive(seed), seed)
+    names = ("2 px + mean of u left", "2 px + mean of v", "2 px + mean of u right",
+             "1 + correlation with the frame before")
+    before: dict[int, float] = {}
+    pairs, rows = [], [np.empty((0, 4))]
+    for step in run.steps:
+        finite = np.isfinite(step.innovation.nis)
+        rows.append(step.innovation.residual[finite])
+        now = dict(zip(step.innovation.ids[finite].tolist(), step.innovation.residual[finite, 0]))
+        pairs += [(before[i], now[i]) for i in now if i in before]
+        before = now
+    if not run.whole or len(pairs) < 3:
+        return dict.fromkeys(names, LARGEST)
+    mean = np.abs(np.concatenate(rows).mean(axis=0)) + 2
+    return dict(zip(names, (mean[0], mean[[1, 3]].mean(), mean[2], 1 + np.corrcoef(np.transpose(pairs))[0, 1])))
 
 
 def standing(build: Build, seed: int) -> Readings:
@@ -339,6 +404,15 @@ TESTS = {test.name: test for test in (
     Test("standing still", "60 frames on one spot", 1, standing),
     Test("first update", "the first update of each landmark", 1, first_update),
     Test("90 degrees", "the same drive in a world turned by 90 degrees", 1, ninety),
+    Test("1 km", "the same drive with the world's origin 1 km behind", 1, far_away),
+    *(Test(name, text, 1, on_another_drive(name)) for name, text in (
+        ("perfect IMU", "the three numbers of a drive whose IMU has no noise"),
+        ("perfect camera", "the three numbers of a drive whose pixels have no noise"),
+        ("straight", "the three numbers of a drive without a corner"),
+        ("half the rate", "the three numbers of a drive of which every other frame is missing"))),
+    Test("by block", "NEES of rotation and position apart, and the heading's sigma", 1, by_block),
+    Test("residuals", "means of the residuals by row, and their correlation from frame to frame", 1, residuals),
+    Test("over seeds", "NEES over four drives", 2, over_seeds),
     Test("update", "one update against the formulas", 2, update_bench, True,
          (*_FILTER_JACOBIANS, "correction", "covariance after the update")),
 )}
