@@ -922,3 +922,38 @@ def run_as_a_generator(drive, noise):
 @answer("filter_run")
 def run_as_a_list(drive, noise):
     return list(_drive(drive, noise, predict_with_one_matrix, frame_born_backwards))
+
+
+@answer("curved_mean")
+def curved_by_hessians(f, baseline, point, C):
+    def of(a, z):  # second derivatives of f a / z by (a, z)
+        return f * np.array([[0, -1 / z**2], [-1 / z**2, 2 * a / z**3]])
+
+    x, y, z = point
+    return np.array([np.trace(of(a, z) @ C[np.ix_([i, 2], [i, 2])]) / 2
+                     for a, i in ((x, 0), (y, 1), (x - baseline, 0), (y, 1))])
+
+
+@answer("left_behind")
+def left_behind_by_a_selection(landmarks, P, keep):
+    rows = [3 * i + j for i in range(len(keep)) if keep[i] for j in range(3)] + list(range(len(P) - 6, len(P)))
+    A = np.eye(len(P))[rows]
+    return [m for m, stays in zip(landmarks, keep) if stays], A @ P @ A.T
+
+
+@answer("curved_mean")
+def curved_by_differences(f, baseline, point, C):
+    def pixels(p):
+        x, y, z = p
+        return f * np.array([x, y, x - baseline, y]) / z
+
+    w, axes = np.linalg.eigh(C)  # half the trace is half the sum of the second derivatives along the axes
+    h = 1e-3
+    second = [(pixels(point + h * a) - 2 * pixels(point) + pixels(point - h * a)) / h**2 for a in axes.T]
+    return w @ np.array(second) / 2
+
+
+@answer("left_behind")
+def left_behind_by_deletion(landmarks, P, keep):
+    gone = [3 * i + j for i in np.flatnonzero(~keep) for j in range(3)]
+    return np.delete(landmarks, np.flatnonzero(~keep), axis=0), np.delete(np.delete(P, gone, 0), gone, 1)

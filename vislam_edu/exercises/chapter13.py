@@ -8,9 +8,10 @@ the landmarks that are out of sight. Source: report section 3.3.2, corrected.
 import numpy as np
 from scipy.linalg import block_diag
 
-from .. import ekf_slam, kalman, se3
+from .. import ekf_slam, kalman, se3, window_slam
 from ..noise import Noise
 from ..simulate import first_steps
+from ..stereo import StereoCamera
 from . import inputs
 from .exercise import exercise
 
@@ -420,3 +421,101 @@ def _(drive, noise):
 @filter_run.mistake("one tau for all", "The frames are not evenly spaced: step k - 1 takes drive.taus[k - 1].")
 def _(drive, noise):
     return filter_run.reference(drive.replace(times=drive.taus.mean() * np.arange(drive.n_frames)), noise)
+
+
+# --- extensions -------------------------------------------------------------------------------------------
+
+
+def uncertain_points(rng):
+    yield "straight ahead", (500.0, 0.5, np.array([0.0, 0.0, 10.0]), np.diag([0.01, 0.01, 1.0]))
+    for _ in range(4):
+        point = np.array([rng.uniform(-4, 4), rng.uniform(-2, 2), rng.uniform(4, 30)])
+        yield "beside the axis", (rng.uniform(300, 700), rng.uniform(0.2, 0.8), point,
+                                  0.02 * point[2] * inputs.random_covariance(rng, 3))
+
+
+def _curved(f, baseline, point, C, half=1.0, cross=-1.0):
+    x, y, z = point
+    beside = np.array([x, y, x - baseline, y])
+    return half * f / z**2 * (beside / z * C[2, 2] + cross * C[[0, 1, 0, 1], 2])
+
+
+@exercise(chapter=13, cases=uncertain_points, shows=[StereoCamera.second_order], hints=[
+    """One coordinate is u = f x / z. Write its three second derivatives by (x, z); the one by x twice is zero. Then
+    half the trace of h'' C is two terms.""",
+    "u_left: f / z^2 * (x / z * C_zz - C_xz). The right camera has x - baseline in place of x, v has y."])
+def curved_mean(f, baseline, point, covariance):
+    """How far the mean of the pixels lies from the pixels of the mean, to second order: half the trace of h'' C.
+
+    f : px. baseline : m. point (3,) : m, mean of a landmark in the left camera's frame. covariance (3, 3) : m^2.
+    Returns (4,), px, of u_left, v_left, u_right, v_right.
+    """
+    return _curved(f, baseline, point, covariance)
+
+
+@curved_mean.mistake("half forgotten", "The second-order term of Taylor's series has a factor 1/2.")
+def _(f, baseline, point, covariance):
+    return _curved(f, baseline, point, covariance, half=2.0)
+
+
+@curved_mean.mistake("sign flipped", "This has the wrong sign: beside the axis the mean moves outwards.")
+def _(f, baseline, point, covariance):
+    return -_curved(f, baseline, point, covariance)
+
+
+@curved_mean.mistake("right camera taken for the left", "The right camera sees x - baseline in place of x.")
+def _(f, baseline, point, covariance):
+    return _curved(f, 0.0, point, covariance)
+
+
+@curved_mean.mistake("depth alone", """h'' has entries beside the diagonal too, and x and z are
+correlated, because a landmark is uncertain along its ray.""")
+def _(f, baseline, point, covariance):
+    return _curved(f, baseline, point, covariance, cross=0.0)
+
+
+@curved_mean.mistake("cross term added", "d^2 (x / z) / dx dz = -1 / z^2: the cross term is subtracted.")
+def _(f, baseline, point, covariance):
+    return _curved(f, baseline, point, covariance, cross=1.0)
+
+
+def windows(rng):
+    for keep in ([True, False], [False, True, True, False], [True, True, True]):
+        n = len(keep)
+        yield f"{n - sum(keep)} of {n} left", (10 * rng.normal(size=(n, 3)), inputs.random_covariance(rng, 3 * n + 6),
+                                               np.array(keep))
+
+
+def _rows(keep):
+    return np.flatnonzero(np.concatenate([np.repeat(keep, 3), np.ones(6, bool)]))
+
+
+@exercise(chapter=13, cases=windows, shows=[window_slam.marginalise], outputs=("landmarks", "covariance"), hints=[
+    "To marginalise a Gaussian is to do nothing to what stays: no inverse, no product.",
+    "Take the rows and the columns of the landmarks that stay, and the last six."])
+def left_behind(landmarks, covariance, keep):
+    """The state after some landmarks have left the window: the others, and the pose, are known as well as before.
+
+    landmarks (n, 3) : m, world. covariance (3n+6, 3n+6), landmarks before the pose. keep (n,) : bool, which stay.
+    Returns the landmarks that stay and the covariance of these and the pose.
+    """
+    return landmarks[keep], covariance[np.ix_(_rows(keep), _rows(keep))]
+
+
+@left_behind.mistake("conditioned", """This is what is known once the landmarks that leave are known *exactly*: the
+Schur complement, or rows dropped from the inverse. They are only no longer asked for: take rows of the covariance.""")
+def _(landmarks, covariance, keep):
+    return landmarks[keep], np.linalg.inv(np.linalg.inv(covariance)[np.ix_(_rows(keep), _rows(keep))])
+
+
+@left_behind.mistake("correlations with the pose lost", """What stays keeps its correlation with the pose: without it
+the next update cannot correct the map through the pose.""")
+def _(landmarks, covariance, keep):
+    P = covariance[np.ix_(_rows(keep), _rows(keep))].copy()
+    P[:-6, -6:], P[-6:, :-6] = 0, 0
+    return landmarks[keep], P
+
+
+@left_behind.mistake("the wrong ones kept", "`keep` says which stay, not which leave.")
+def _(landmarks, covariance, keep):
+    return landmarks[~keep], covariance[np.ix_(_rows(~keep), _rows(~keep))]

@@ -491,3 +491,19 @@ def filter_birth(world_T_imu, landmarks, covariance, pixels, camera, noise):
     P[old, n:n + 3] = cross.T
     P[n:n + 3, n:n + 3] = own
     return np.vstack([landmarks, se3.transform(world_T_imu, s)]), P
+
+
+def curved_mean(f, baseline, point, covariance):
+    x, y, z = point
+    C = covariance
+    u_left = f / z**2 * (x / z * C[2, 2] - C[0, 2])
+    v = f / z**2 * (y / z * C[2, 2] - C[1, 2])
+    u_right = f / z**2 * ((x - baseline) / z * C[2, 2] - C[0, 2])
+    return np.array([u_left, v, u_right, v])
+
+
+def left_behind(landmarks, covariance, keep):
+    pose = np.ones(6, bool)
+    stay = np.concatenate([np.repeat(keep, 3), pose])
+    P = covariance[stay][:, stay]
+    return landmarks[keep], P
