@@ -116,7 +116,9 @@ class TuningPicture(Picture):
         again = drive.frame[drive.first_seen[drive.landmark] < drive.frame]  # a first view is no prediction's test
         numbers = 4 * np.maximum(np.bincount(again, minlength=len(times)), 1)
         band6 = np.tile(np.array(metrics.chi2_band(6, probability=0.95))[:, None], len(times))
-        self.nees = self._build_test((0.115, 0.08, 0.37, 0.17), "NEES of the pose, honest: 6", times, band6, 6, (0.1, 1e5))
+        self.nees = self._build_test(
+            (0.115, 0.08, 0.37, 0.17), "NEES of the pose, honest: 6", times, band6, 6, (0.1, 1e5)
+        )
         self.nis = self._build_test(
             (0.61, 0.08, 0.37, 0.17), "NIS of a frame / its numbers: 1", times, nis_band(numbers), 1, (0.01, 300)
         )
@@ -126,7 +128,8 @@ class TuningPicture(Picture):
     def _build_map(self):
         truth = self.drive.true_world_T_imu
         dead = odometry.dead_reckon(self.drive, self.noise, self.world_T_imu).world_T_imu
-        self.map = add_axes(self, (0.115, 0.61, 0.865, 0.31), "", "x (m)", "y (m)", aspect="equal", adjustable="datalim")
+        self.map = add_axes(self, (0.115, 0.61, 0.865, 0.31), "", "x (m)", "y (m)", aspect="equal",
+                            adjustable="datalim")
         title = f"From above; errors and 95 % ellipses {ENLARGED} × as large"
         self.map.set_title(title, fontsize=TITLE, loc="left", pad=22)
         black = self.map.plot(*truth[:, :2, 3].T, color=COLOURS["truth"], lw=1.2, label="truth")
