@@ -5,8 +5,8 @@ The course's `10.npz` where a student has it; else a simulated drive of its size
 
 from dataclasses import replace
 
-from .. import recordings, simulate, window_slam
-from ..error_state import RightPerturbation
+from .. import odometry, recordings, simulate, window_slam
+from ..error_state import RightInvariant, RightPerturbation
 from ..noise import Noise
 from ..plots import report_figures
 from . import pipeline
@@ -18,6 +18,12 @@ def load(frames=FRAMES):
     """The first frames of `10.npz`, or a simulated street of so many frames (25 MB and some seconds for all of it)."""
     path = recordings.find("10.npz")
     return recordings.load(path).slice(0, frames) if path else simulate.street_loop(frames=frames, name="a long street")
+
+
+def paths(drive, noise, error_state):
+    """Dead reckoning, a Trajectory, and the joint filter with every landmark, a `pipeline.Slam`."""
+    method = "invariant" if isinstance(error_state, RightInvariant) else "slam"
+    return odometry.dead_reckon(drive, noise), pipeline.joint(drive, noise, error_state, method=method)
 
 
 def suboptimal(drive):
