@@ -98,6 +98,23 @@ def test_a_link_leads_to_a_file(path):
     assert [link for link in LINK_TO_A_FILE.findall(text) if not (path.parent / link).exists()] == []
 
 
+QUOTE = re.compile(r"\[\d\d\]\(\.\./notebooks/(\w+\.ipynb)\): `([^`]+)`")
+QUOTES = QUOTE.findall((ROOT / "docs/instructor.md").read_text(encoding="utf-8"))
+
+
+@pytest.mark.parametrize(("notebook", "quoted"), QUOTES)
+def test_the_instructors_page_quotes_what_a_notebook_prints(notebook, quoted):
+    cells = nbformat.read(ROOT / "notebooks" / notebook, as_version=4).cells
+    printed = " ".join(output.get("text", "") for cell in cells for output in cell.get("outputs", []))
+    assert quoted in " ".join(printed.split())
+
+
+def test_every_question_of_the_instructors_page_is_decided_by_a_quote():
+    questions = (ROOT / "docs/instructor.md").read_text(encoding="utf-8").split("## Questions for peer instruction")[1]
+    rows = questions.split("\n## ")[0].count("\n| ") - 1  # less the heading
+    assert rows == len(QUOTES) > 0
+
+
 # A hat over the vectors whose skew or twist matrix the chapters use; their estimates have other names (mu, T). A
 # position has both: \hat p is its estimate, unless it is multiplied by what turns.
 HAT_AS_MATRIX = re.compile(r"\\(?:wide)?hat\s*\{?\s*(?:\\(?:phi|xi|epsilon|omega|theta|Delta|delta(?:\\psi|_R))"

@@ -31,7 +31,8 @@ def before_and_after(truth, before, after):
         for name, estimate, marker, label in estimates:
             off, colour = (estimate.landmarks[j] - truth[j])[:2], style.COLOURS[name]
             axes.plot(*off, marker, color=colour)
-            axes.plot(*style.ellipse_points(off, estimate.covariance[j, :2, :2]).T, color=colour, label=f"95 %, {label}")
+            outline = style.ellipse_points(off, estimate.covariance[j, :2, :2])
+            axes.plot(*outline.T, color=colour, label=f"95 %, {label}")
         axes.set(title=f"landmark {j}: -{1 - ratio[j]:.0%}", aspect="equal", adjustable="datalim", xlabel="x (m)",
                  ylabel="y (m)")
         axes.margins(0.15)
