@@ -1,6 +1,7 @@
-"""The report's figures 8 to 14 and 18 to 20, its longer recording: python benchmarks/second_recording.py --out DIR
+"""The report's figures 8 to 14 and 18 to 20, its longer recording: python benchmarks/second_recording.py
 
-Drawn from `10.npz` where it lies in `data/`, else from a simulated drive of its size. Half a minute.
+Drawn from `10.npz` where it lies in `data/`, with the noise of the simulator, else from a simulated drive of its size.
+Half a minute. (`python -m vislam_edu run 10.npz --audit` measures the noise of a real recording and cures its faults.)
 """
 
 import argparse
@@ -14,7 +15,7 @@ from vislam_edu.studies import second_recording
 def main():
     """Draw all ten."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--out", type=Path, required=True, help="folder for the figures; made if missing")
+    parser.add_argument("--out", type=Path, default=Path("results/second_recording"), help="folder, made if missing")
     parser.add_argument("--frames", type=int, default=second_recording.FRAMES, help="only so many frames")
     arguments = parser.parse_args()
     arguments.out.mkdir(parents=True, exist_ok=True)
