@@ -210,5 +210,5 @@ def _draw_disparities(ax, drive):
     low, high = np.percentile(disparity, [0.1, 99]) if disparity.size else (0, 0)
     ax.hist(disparity, bins=np.linspace(min(-3, low), max(3, high), 80), color=style.COLOURS["measured"])
     ax.axvline(0, lw=1, color=style.COLOURS["rejected"])
-    ax.set(title="disparities (zero and below: no such point)", xlabel="u_left - u_right (px)",
+    ax.set(title="disparities (below zero: no such point)", xlabel="u_left - u_right (px)",
            ylabel="observations", yscale="log" if disparity.size else "linear")

@@ -62,7 +62,7 @@ class SubsamplingPicture(Picture):
     """
 
     name = "every n-th landmark"
-    size = (6.4, 7.2)
+    size = (6.4, 6.0)
     controls = CONTROLS
 
     def __init__(self, drive, noise, error_state=None):
