@@ -64,7 +64,7 @@ class TuningPicture(Picture):
     """
 
     name = "tuning"
-    size = (6.4, 5.7)
+    size = (6.4, 5.6)
     controls = CONTROLS
 
     def __init__(self, drive, world_T_imu, noise=None):
