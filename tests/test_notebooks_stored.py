@@ -98,20 +98,40 @@ def test_a_link_leads_to_a_file(path):
     assert [link for link in LINK_TO_A_FILE.findall(text) if not (path.parent / link).exists()] == []
 
 
-# A hat over the vectors whose skew or twist matrix the chapters use; their estimates have other names (mu, T).
-HAT_AS_MATRIX = re.compile(r"\\(?:wide)?hat\s*\{?\s*(?:\\(?:phi|xi|epsilon|omega|delta\\psi)|[suvp](?![a-z]))")
+QUOTE = re.compile(r"\[\d\d\]\(\.\./notebooks/(\w+\.ipynb)\): `([^`]+)`")
+QUOTES = QUOTE.findall((ROOT / "docs/instructor.md").read_text(encoding="utf-8"))
 
 
-@pytest.mark.parametrize("path", NOTEBOOKS[:6], ids=lambda path: path.stem)
+@pytest.mark.parametrize(("notebook", "quoted"), QUOTES)
+def test_the_instructors_page_quotes_what_a_notebook_prints(notebook, quoted):
+    cells = nbformat.read(ROOT / "notebooks" / notebook, as_version=4).cells
+    printed = " ".join(output.get("text", "") for cell in cells for output in cell.get("outputs", []))
+    assert quoted in " ".join(printed.split())
+
+
+def test_every_question_of_the_instructors_page_is_decided_by_a_quote():
+    questions = (ROOT / "docs/instructor.md").read_text(encoding="utf-8").split("## Questions for peer instruction")[1]
+    rows = questions.split("\n## ")[0].count("\n| ") - 1  # less the heading
+    assert rows == len(QUOTES) > 0
+
+
+# A hat over the vectors whose skew or twist matrix the chapters use; their estimates have other names (mu, T). A
+# position has both: \hat p is its estimate, unless it is multiplied by what turns.
+HAT_AS_MATRIX = re.compile(r"\\(?:wide)?hat\s*\{?\s*(?:\\(?:phi|xi|epsilon|omega|theta|Delta|delta(?:\\psi|_R))"
+                           r"|[suv](?![a-z])|x_R|\(|p\}?\s*(?:\\[,;]\s*)?(?:R|\\theta|x_R))")
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 def test_a_hat_is_an_estimate_and_a_wedge_a_matrix(path):
     sources = "\n".join(cell.source for cell in nbformat.read(path, as_version=4).cells)
     assert HAT_AS_MATRIX.findall(sources) == []
 
 
-@pytest.mark.parametrize("formula", [r"\hat\epsilon", r"\hat u_k", r"\widehat{\delta\psi}", r"\hat{v}", r"\hat p R"])
+@pytest.mark.parametrize("formula", [r"\hat\epsilon", r"\hat u_k", r"\widehat{\delta\psi}", r"\hat{v}", r"\hat p R",
+                                     r"\hat x_R", r"\widehat{(m-p)}", r"\hat p\,x_R", r"\hat \delta_R"])
 def test_a_hat_over_a_vector_of_a_matrix_is_found(formula):
     assert HAT_AS_MATRIX.search(formula)
-    assert not HAT_AS_MATRIX.search(r"\hat m_j, \epsilon^\wedge, \hat{T}")
+    assert not HAT_AS_MATRIX.search(r"\hat m_j, \epsilon^\wedge, \hat{T}, (\hat m - \hat p), \hat p + J_l")
 
 
 def sound():

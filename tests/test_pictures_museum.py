@@ -33,11 +33,11 @@ def picture(visits, drive):
 
 def test_a_piece_shows_its_own_path_and_numbers(picture, visits, drive):
     times = drive.times - drive.times[0]
-    for piece in (1, 2, 3):
-        picture.draw(piece)
-        np.testing.assert_array_equal(picture.path.get_xydata(), visits[piece].world_T_imu[:, :2, 3])
+    for seen in visits[1:]:
+        picture.draw(seen.title)
+        np.testing.assert_array_equal(picture.path.get_xydata(), seen.world_T_imu[:, :2, 3])
         for kind, line in picture.lines.items():
-            values = getattr(visits[piece], kind)
+            values = getattr(seen, kind)
             x, y = line.get_data()
             np.testing.assert_array_equal(x, times[:len(values)])
             low, high = LIMITS[kind]
@@ -45,7 +45,7 @@ def test_a_piece_shows_its_own_path_and_numbers(picture, visits, drive):
             inside = (values > low) & (values < high)
             np.testing.assert_array_equal(np.asarray(y)[inside], values[inside])
             assert (np.isnan(y) | ((y >= low) & (y <= high))).all()  # the line does not leave its axes unseen
-        assert visits[piece].title in picture.title.get_text()
+        assert picture.title.get_text() == seen.title
 
 
 def test_right_filter_and_truth_stand_still(picture, visits, drive):
@@ -56,26 +56,25 @@ def test_right_filter_and_truth_stand_still(picture, visits, drive):
     assert picture.map.get_aspect() == 1.0
 
 
-def test_the_slider_offers_every_mistake_and_says_its_numbers(picture, visits):
+def test_the_list_offers_every_mistake_and_says_its_numbers(picture, visits):
     panel = Panel(picture)
-    slider = panel.controls["piece"]
-    low, high = slider.control.low, slider.control.high
-    assert (low, high) == (1, len(visits) - 1)
+    choice = panel.controls["piece"]
+    assert choice.spec["names"] == [seen.title for seen in visits[1:]]
     pictures = set()
-    for piece in range(low, high + 1):
-        slider.value = piece
+    for seen in visits[1:]:
+        choice.value = seen.title
         pictures.add(panel.image.value)
-        caption = picture.caption(piece)
-        assert visits[piece].title in caption
-        assert all(number in caption for number in (*visits[piece].numbers, *visits[0].numbers))
-        assert caption in picture.alt(piece)
-        assert ("could not go on" in caption) == (visits[piece].stopped is not None)
+        caption = picture.caption(seen.title)
+        assert seen.title in caption
+        assert all(number in caption for number in (*seen.numbers, *visits[0].numbers))
+        assert caption in picture.alt(seen.title)
+        assert ("could not go on" in caption) == (seen.stopped is not None)
     assert len(pictures) == len(visits) - 1
 
 
 @pytest.mark.parametrize("check", picture_checks.ALL, ids=lambda check: check.__name__)
-def test_what_every_picture_must_stand(check, picture):
-    check(picture, [{"piece": piece} for piece in (1, 2, 3)])
+def test_what_every_picture_must_stand(check, picture, visits):
+    check(picture, [{"piece": seen.title} for seen in visits[1:]])
 
 
 def test_one_visit_is_no_museum(visits, drive):

@@ -6,12 +6,14 @@ import io
 import numpy as np
 import pytest
 from PIL import Image
+from traitlets import TraitError
 
 from vislam_edu.plots import style
 from vislam_edu.widgets import UNSEEN, Panel
-from vislam_edu.widgets.canvas import Decades, Number, Picture, Switch
+from vislam_edu.widgets.canvas import Choice, Decades, Number, Picture, Switch
 from vislam_edu.widgets.panel import Control
 
+CHOICE = Choice("mistake", "sign", ("sign", "order"))
 CONTROLS = {"height": Number("height, m", 1.0, 0.0, 4.0, 0.5), "filled": Switch("filled", False)}
 
 
@@ -116,6 +118,7 @@ def test_a_control_tells_the_browser_its_label_kind_and_range():
                                                 "step": 0.5}
     assert Control(CONTROLS["filled"]).spec == {"label": "filled", "kind": "switch"}
     assert Control(Decades("sigma", 1.0, 0.1, 10.0, 0.1)).spec["kind"] == "log"
+    assert Control(CHOICE).spec == {"label": "mistake", "kind": "choice", "names": ["sign", "order"]}
 
 
 def test_a_control_keeps_to_its_range_and_to_whole_numbers():
@@ -124,6 +127,16 @@ def test_a_control_keeps_to_its_range_and_to_whole_numbers():
         control.value = given
         assert control.value == kept
         assert isinstance(control.value, int)
+
+
+def test_a_choice_is_one_of_its_names():
+    control = Control(CHOICE)
+    control.value = "order"
+    with pytest.raises(TraitError, match="'units' is not one of sign, order"):
+        control.value = "units"
+    assert control.value == "order"
+    with pytest.raises(ValueError, match="'units' is not one of"):
+        Choice("mistake", "units", ("sign", "order"))
 
 
 @pytest.mark.parametrize(("value", "step"), [(5.0, 0.1), (0.5, 0.0), (np.nan, 0.1)])
@@ -135,5 +148,5 @@ def test_number_outside_its_range_is_refused(value, step):
 def test_unknown_control_is_refused():
     picture = Bar()
     picture.controls = {"height": 3.0}
-    with pytest.raises(TypeError, match=r"Number or a Switch, got 3\.0"):
+    with pytest.raises(TypeError, match=r"a Choice, got 3\.0"):
         Panel(picture)

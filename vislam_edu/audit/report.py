@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from .. import plots
 from ..drive import Drive
 from ..plots import style
 from . import imu_alignment, imu_timing, track_health
@@ -144,7 +145,7 @@ class Report:
     @style.styled
     def figure(self):
         """A matplotlib Figure: gyro against cameras, timing, tracks in view with copy frames, disparities."""
-        figure = style.Figure(figsize=(8, 8))
+        figure = style.Figure(figsize=(plots.WIDTH, 8))
         since_start = self.drive.times - self.drive.times[0]
         axes = figure.subplots(3, 2)
         for i, ax in enumerate(axes[:, 0]):
@@ -153,7 +154,7 @@ class Report:
         _draw_tracks(axes[1, 1], since_start, self.drive, self.copy_steps)
         _draw_disparities(axes[2, 1], self.drive)
         found = ", ".join(finding.fault for finding in self.findings) or "nothing found"
-        figure.suptitle(textwrap.fill(f"Audit of {self.drive.name or 'a drive'}: {found}", 80), fontsize=11)
+        figure.suptitle(textwrap.fill(f"Audit of {self.drive.name or 'a drive'}: {found}", 66), fontsize=11)
         return figure
 
 
@@ -209,5 +210,5 @@ def _draw_disparities(ax, drive):
     low, high = np.percentile(disparity, [0.1, 99]) if disparity.size else (0, 0)
     ax.hist(disparity, bins=np.linspace(min(-3, low), max(3, high), 80), color=style.COLOURS["measured"])
     ax.axvline(0, lw=1, color=style.COLOURS["rejected"])
-    ax.set(title="disparities (zero and below: no such point)", xlabel="u_left - u_right (px)",
+    ax.set(title="disparities (below zero: no such point)", xlabel="u_left - u_right (px)",
            ylabel="observations", yscale="log" if disparity.size else "linear")

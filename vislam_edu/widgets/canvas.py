@@ -54,6 +54,22 @@ class Switch:
 
 
 @dataclass(frozen=True)
+class Choice:
+    """A control that is one of some names: its label, the name that it starts with, and all of them.
+
+    Raises ValueError when the first is not among them.
+    """
+
+    label: str
+    value: str
+    names: tuple[str, ...]
+
+    def __post_init__(self):
+        if self.value not in self.names:
+            raise ValueError(f"{self.label}: {self.value!r} is not one of {', '.join(self.names)}")
+
+
+@dataclass(frozen=True)
 class Still:
     """One picture that does not move, shown by a notebook with or without a kernel.
 
@@ -82,12 +98,12 @@ class Picture:
     `alt(**state)`     the picture in words, for a reader who cannot see it
 
     name : what it shows. size : inches, at 100 dots per inch.
-    controls : dict name -> `Number` or `Switch`: keyword arguments of `draw` that a reader may change.
+    controls : dict name -> `Number`, `Switch` or `Choice`: keyword arguments of `draw` that a reader may change.
     """
 
     name = "picture"
     size: tuple[float, float] = (10.0, 5.0)
-    controls: Mapping[str, Number | Switch] = MappingProxyType({})
+    controls: Mapping[str, Number | Switch | Choice] = MappingProxyType({})
 
     def __init__(self):
         self._moving = []
@@ -124,7 +140,7 @@ class Picture:
         raise NotImplementedError
 
     @property
-    def start(self) -> dict[str, float]:
+    def start(self) -> dict[str, float | str]:
         """What the controls begin with: `png` and `still` fill in those that are not given."""
         return {name: control.value for name, control in self.controls.items()}
 

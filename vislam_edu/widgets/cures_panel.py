@@ -61,7 +61,7 @@ class CuresPicture(Picture):
     """
 
     name = "cures"
-    size = (10.0, 4.8)
+    size = (6.4, 3.9)
 
     def __init__(self, report, noise):
         self.report, self.noise = report, noise
@@ -103,14 +103,14 @@ class CuresPicture(Picture):
     def build(self):
         name = "ground truth" if self.truth else "with every cure"
         path = ground(self.reference)
-        self.map = add_axes(self, (0.07, 0.12, 0.5, 0.78), "Path of the left camera, from above",
+        self.map = add_axes(self, (0.1, 0.14, 0.43, 0.75), "Path of the left camera",
                             "forward at the start (m)", "left at the start (m)")
         fit_equal(self.map, path, margin=25.0)  # what leaves it is lost anyway
         (reference,) = self.map.plot(*path.T, color=COLOURS["truth"], lw=1.2, label=name)
         (self.line,) = self.map.plot([], [], color=COLOURS["invariant"], lw=1.6, label="filter")
         legend(self.map, [reference, self.line], loc="upper left")
         self.times = self.report.drive.times - self.report.drive.times[0]
-        self.axes = add_axes(self, (0.66, 0.12, 0.32, 0.78), f"Distance from {'the truth' if self.truth else name}",
+        self.axes = add_axes(self, (0.66, 0.14, 0.32, 0.75), f"Distance from {'the truth' if self.truth else name}",
                              "time since start (s)", "distance (m)", yscale="log", ylim=(0.01, 300),
                              xlim=(0, self.times[-1]))
         (self.error,) = self.axes.plot([], [], color=COLOURS["invariant"], lw=1.6)

@@ -6,14 +6,14 @@ from matplotlib.figure import Figure
 from .. import metrics, plots
 from ..plots import style
 from ..plots.style import COLOURS
-from .canvas import Number, Picture
-from .panels import LETTERING, add_axes, legend_above
+from .canvas import Choice, Picture
+from .panels import LETTERING, add_axes, legend
 
 LIMITS = {"error": (0.01, 300), "nis": (0.5, 1e5), "nees": (0.1, 3e5)}
 TITLES = {
     "error": "Distance from the truth (m)",
-    "nis": "NIS of a measurement, mean of a frame; dotted: 4",
-    "nees": "NEES of the pose; green: its 95 % band",
+    "nis": "NIS, mean of a frame; dotted: 4",
+    "nees": "NEES; green: its 95 % band",
 }
 
 
@@ -57,40 +57,40 @@ def _colour(visit):
 
 
 class MuseumPicture(Picture):
-    """One mistake at a time, chosen by a slider, in red; the right filter in blue and the truth in black.
+    """One mistake at a time, chosen from a list, in red; the right filter in blue and the truth in black.
 
     visits : sequence of `museum_drives.Visit`, the right filter's first. drive : the `Drive` they made, with truth.
     Raises ValueError for fewer than two visits.
     """
 
     name = "mistake museum"
-    size = (10.0, 6.0)
+    size = (6.4, 5.6)
 
     def __init__(self, visits, drive):
         self.visits, self.drive = tuple(visits), drive
         if len(self.visits) < 2:
             raise ValueError(f"visits: the right filter and at least one mistake, got {len(self.visits)} in all")
-        self.controls = {"piece": Number("piece", 1, 1, len(self.visits) - 1, 1)}
+        names = [visit.title for visit in self.visits[1:]]
+        self.controls = {"piece": Choice("mistake", names[0], tuple(names))}
         super().__init__()
 
     def build(self):
-        """The map on the left; error, NIS and NEES through time on the right."""
+        """The map and the error above, NIS and NEES through time below."""
         right, times = self.visits[0], self.drive.times - self.drive.times[0]
         x0, x1, y0, y1 = view(self.drive)
-        self.map = add_axes(self, (0.07, 0.09, 0.42, 0.7), "From above", "x (m)", "y (m)", aspect="equal",
+        self.map = add_axes(self, (0.1, 0.5, 0.38, 0.4), "From above", "x (m)", "y (m)", aspect="equal",
                             xlim=(x0, x1), ylim=(y0, y1))
         red = COLOURS["rejected"]
-        self.title = self.moves(self.figure.text(0.07, 0.945, "", fontsize=12, weight="bold", color=red))
-        self.words = self.moves(self.figure.text(0.07, 0.9, "", fontsize=LETTERING))
+        self.title = self.moves(self.figure.text(0.02, 0.95, "", fontsize=12, weight="bold", color=red))
+        self.words = self.moves(self.figure.text(0.98, 0.95, "", fontsize=LETTERING, ha="right"))
         truth = self.map.plot(*self.drive.true_world_T_imu[:, :2, 3].T, color=COLOURS["truth"], lw=2.6, label="truth")
         good = self.map.plot(*right.world_T_imu[:, :2, 3].T, color=COLOURS["predicted"], lw=1.2, label="right filter")
         (self.path,) = self.map.plot([], [], color=red, lw=1.6, ls="--", label="with the mistake")
         self.moves(self.path)
-        legend_above(self.map, [*truth, *good, self.path])
         self.lines = {}
-        for kind, bottom in (("error", 0.74), ("nis", 0.415), ("nees", 0.09)):
-            axes = add_axes(self, (0.57, bottom, 0.41, 0.205), TITLES[kind], xlim=(0, times[-1]), yscale="log",
-                            ylim=LIMITS[kind])
+        places = {"error": (0.58, 0.5, 0.4, 0.4), "nis": (0.1, 0.09, 0.38, 0.27), "nees": (0.58, 0.09, 0.4, 0.27)}
+        for kind, rect in places.items():
+            axes = add_axes(self, rect, TITLES[kind], xlim=(0, times[-1]), yscale="log", ylim=LIMITS[kind])
             axes.plot(times, getattr(right, kind), color=COLOURS["predicted"], lw=1.2)
             (line,) = axes.plot([], [], color=red, lw=1.4, ls="--")
             self.lines[kind] = self.moves(line)
@@ -99,13 +99,17 @@ class MuseumPicture(Picture):
             if kind == "nees":
                 band = metrics.chi2_band(6, probability=0.95)
                 axes.axhspan(*band, color=COLOURS["accepted"], alpha=0.25, linewidth=0)
-                axes.set_xlabel("time (s)", fontsize=LETTERING)
+            axes.set_xlabel("time (s)", fontsize=LETTERING)
+        legend(self.lines["error"].axes, [*truth, *good, self.path], columns=1, loc="upper left")
         self.times = times
 
+    def _visit(self, title):
+        return next(visit for visit in self.visits if visit.title == title)
+
     def draw(self, piece):
-        """Show one mistake: `piece` counts from 1, 0 is the right filter itself."""
-        visit = self.visits[piece]
-        self.title.set_text(f"{piece}. {visit.title}")
+        """Show one mistake. piece : its title."""
+        visit = self._visit(piece)
+        self.title.set_text(visit.title)
         self.words.set_text("RMSE {}, NIS {}, NEES {}".format(*visit.numbers))
         self.path.set_data(*visit.world_T_imu[:, :2, 3].T)
         for kind, line in self.lines.items():
@@ -114,16 +118,16 @@ class MuseumPicture(Picture):
 
     def caption(self, piece):
         """The mistake, and its three numbers beside the right ones."""
-        visit, right = self.visits[piece], self.visits[0]
+        visit, right = self._visit(piece), self.visits[0]
         stopped = "" if visit.stopped is None else " It could not go on to the end."
         return (
-            f"{piece}. {visit.title}: position RMSE {visit.numbers[0]} (right filter {right.numbers[0]}), mean NIS "
+            f"{visit.title}: position RMSE {visit.numbers[0]} (right filter {right.numbers[0]}), mean NIS "
             f"{visit.numbers[1]} ({right.numbers[1]}), mean NEES {visit.numbers[2]} ({right.numbers[2]}).{stopped}"
         )
 
     def alt(self, piece):
         """The picture in words."""
         return (
-            f"Paths from above: the truth, the right filter and the one with the mistake '{self.visits[piece].title}'; "
+            f"Paths from above: the truth, the right filter and the one with the mistake '{piece}'; "
             f"through time, their distance from the truth, NIS and NEES. {self.caption(piece)}"
         )

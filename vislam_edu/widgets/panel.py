@@ -1,4 +1,4 @@
-"""A `Panel`: a picture with a slider or a switch for each of its controls.
+"""A `Panel`: a picture with a slider, a switch or a list for each of its controls.
 
 The picture is a PNG in an `Image`, the controls are native inputs (`control.js`); the widget runs without a browser,
 so that a test or a cell may say `panel.controls["depth"].value = 7` and look at the picture. Where there is no kernel
@@ -13,30 +13,32 @@ import anywidget
 import ipywidgets
 import traitlets
 
-from .canvas import DPI, Decades, Number, Switch
+from .canvas import DPI, Choice, Decades, Number, Switch
 
 UNSEEN = "position: absolute; width: 1px; height: 1px; overflow: hidden; clip-path: inset(50%)"  # and read aloud
 
 
 class Control(anywidget.AnyWidget):
-    """The input for a `Number` or a `Switch`, with its label; `value` may be set from code.
+    """The input for a `Number`, a `Switch` or a `Choice`, with its label; `value` may be set from code.
 
     A number outside the range becomes the end of the range; it is a whole number where the step is one.
-    Raises TypeError for anything else than a `Number` or a `Switch`.
+    Raises TypeError for anything else than these three, and `TraitError` for a name that is not in the list.
     """
 
     _esm = Path(__file__).with_name("control.js")
     spec = traitlets.Dict().tag(sync=True)
     value = traitlets.Any().tag(sync=True)
 
-    def __init__(self, control: Number | Switch):
-        if not isinstance(control, Number | Switch):
-            raise TypeError(f"a control is a Number or a Switch, got {control!r}")
+    def __init__(self, control: Number | Switch | Choice):
+        if not isinstance(control, Number | Switch | Choice):
+            raise TypeError(f"a control is a Number, a Switch or a Choice, got {control!r}")
         self.control = control
         spec: dict[str, Any] = {"label": control.label, "kind": "switch"}
         if isinstance(control, Number):
             kind = "log" if isinstance(control, Decades) else "number"
             spec |= {"kind": kind, "low": control.low, "high": control.high, "step": control.step}
+        if isinstance(control, Choice):
+            spec |= {"kind": "choice", "names": list(control.names)}
         super().__init__(spec=spec, value=control.value)
 
     @traitlets.validate("value")
@@ -44,6 +46,10 @@ class Control(anywidget.AnyWidget):
         value, control = proposal.value, self.control
         if isinstance(control, Switch):
             return bool(value)
+        if isinstance(control, Choice):
+            if value not in control.names:
+                raise traitlets.TraitError(f"{control.label}: {value!r} is not one of {', '.join(control.names)}")
+            return value
         value = min(max(value, control.low), control.high)
         whole = isinstance(control.step, int) and not isinstance(control, Decades)
         return round(value) if whole else float(value)

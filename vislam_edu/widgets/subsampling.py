@@ -62,6 +62,7 @@ class SubsamplingPicture(Picture):
     """
 
     name = "every n-th landmark"
+    size = (6.4, 6.0)
     controls = CONTROLS
 
     def __init__(self, drive, noise, error_state=None):
@@ -76,9 +77,9 @@ class SubsamplingPicture(Picture):
         return self.tried[every]
 
     def build(self):
-        """The map on the left, error through time and error against share on the right."""
+        """The map above; below it error through time, and error against share."""
         path, blue = self.drive.true_world_T_imu[:, :2, 3], COLOURS["invariant"]
-        self.map = add_axes(self, (0.07, 0.1, 0.43, 0.82), "Map from above", "x (m)", "y (m)")
+        self.map = add_axes(self, (0.1, 0.42, 0.88, 0.54), "Map from above", "x (m)", "y (m)")
         (truth,) = self.map.plot(*path.T, "-", lw=1.6, color=COLOURS["truth"], label="true path")
         self.map.plot(*self.drive.true_landmarks[:, :2].T, "+", ms=3, mew=0.5, color="0.75", zorder=0)
         box = self.map.get_window_extent()
@@ -96,7 +97,7 @@ class SubsamplingPicture(Picture):
 
         t = self.drive.times - self.drive.times[0]
         self.time = add_axes(
-            self, (0.58, 0.6, 0.41, 0.32), "Position error", "time (s)", "error (m)", xlim=(0, t[-1]), ylim=(0, 10)
+            self, (0.1, 0.08, 0.38, 0.24), "Position error", "time (s)", "error (m)", xlim=(0, t[-1]), ylim=(0, 10)
         )
         (self.error,) = self.time.plot(t, np.zeros(len(t)), color=COLOURS["slam"], label="error")
         (self.claimed,) = self.time.plot(t, np.zeros(len(t)), "--", color=blue, label="claimed, RMS")
@@ -105,10 +106,10 @@ class SubsamplingPicture(Picture):
 
         self.share = add_axes(
             self,
-            (0.58, 0.1, 0.41, 0.32),
-            "RMS error of the drive, for what has been tried so far",
-            "one landmark in ... is kept",
-            "m",
+            (0.6, 0.08, 0.38, 0.24),
+            "RMS error, of what was tried",
+            "one in ... is kept",
+            "RMS error (m)",
             xlim=(0, MOST + 1),
             ylim=(0.05, 20),
             yscale="log",

@@ -64,7 +64,7 @@ class TuningPicture(Picture):
     """
 
     name = "tuning"
-    size = (10.0, 6.4)
+    size = (6.4, 5.6)
     controls = CONTROLS
 
     def __init__(self, drive, world_T_imu, noise=None):
@@ -105,30 +105,31 @@ class TuningPicture(Picture):
         )
 
     def build(self):
-        """Map on the left; on the right two errors, the NEES and the NIS."""
+        """Map; below it two errors, the NEES and the NIS."""
         times = self.drive.times - self.drive.times[0]
         self._build_map()
         self.errors = [
-            self._build_error((0.55, 0.79, 0.43, 0.16), "Position error to the left (m)", times),
-            self._build_error((0.55, 0.555, 0.43, 0.16), "Heading error (degrees)", times),
+            self._build_error((0.115, 0.33, 0.37, 0.17), "Error to the left (m)", times),
+            self._build_error((0.61, 0.33, 0.37, 0.17), "Heading error (°)", times),
         ]
         drive = self.drive
         again = drive.frame[drive.first_seen[drive.landmark] < drive.frame]  # a first view is no prediction's test
         numbers = 4 * np.maximum(np.bincount(again, minlength=len(times)), 1)
         band6 = np.tile(np.array(metrics.chi2_band(6, probability=0.95))[:, None], len(times))
         self.nees = self._build_test(
-            (0.55, 0.32, 0.43, 0.16), "NEES of the pose, honest: 6", times, band6, 6, (0.1, 1e5)
+            (0.115, 0.08, 0.37, 0.17), "NEES of the pose, honest: 6", times, band6, 6, (0.1, 1e5)
         )
         self.nis = self._build_test(
-            (0.55, 0.085, 0.43, 0.16), "NIS of a frame / its degrees of freedom, honest: 1", times,
-            nis_band(numbers), 1, (0.01, 300)
+            (0.61, 0.08, 0.37, 0.17), "NIS of a frame / its numbers: 1", times, nis_band(numbers), 1, (0.01, 300)
         )
-        self.nis[0].axes.set_xlabel("time (s)", fontsize=LETTERING)
+        for line, _ in (self.nees, self.nis):
+            line.axes.set_xlabel("time (s)", fontsize=LETTERING)
 
     def _build_map(self):
         truth = self.drive.true_world_T_imu
         dead = odometry.dead_reckon(self.drive, self.noise, self.world_T_imu).world_T_imu
-        self.map = add_axes(self, (0.06, 0.085, 0.42, 0.8), "", "x (m)", "y (m)", aspect="equal", adjustable="datalim")
+        self.map = add_axes(self, (0.115, 0.61, 0.865, 0.31), "", "x (m)", "y (m)", aspect="equal",
+                            adjustable="datalim")
         title = f"From above; errors and 95 % ellipses {ENLARGED} × as large"
         self.map.set_title(title, fontsize=TITLE, loc="left", pad=22)
         black = self.map.plot(*truth[:, :2, 3].T, color=COLOURS["truth"], lw=1.2, label="truth")
@@ -155,7 +156,7 @@ class TuningPicture(Picture):
 
     def _build_error(self, rect, title, times):
         """An error and the edges of its band of 3 sigma."""
-        axes = add_axes(self, rect, f"{title} and its ± 3σ (dashed)", xlim=(times[0], times[-1]))
+        axes = add_axes(self, rect, f"{title}, ± 3σ dashed", xlim=(times[0], times[-1]))
         style = {"color": COLOURS["expected"], "ls": "--", "lw": 1.0}
         edges = [axes.plot(times, 0 * times, **style)[0] for _ in range(2)]
         (line,) = axes.plot(times, 0 * times, color=COLOURS["slam"], lw=1.4)
@@ -163,7 +164,7 @@ class TuningPicture(Picture):
 
     def _build_test(self, rect, title, times, band, honest, limits):
         """A chi-square number on a logarithmic scale, in its 95 % band, and a text for its mean."""
-        axes = add_axes(self, rect, f"{title}; 95 % band", xlim=(times[0], times[-1]), yscale="log", ylim=limits)
+        axes = add_axes(self, rect, title, xlim=(times[0], times[-1]), yscale="log", ylim=limits)
         axes.fill_between(times, *band, color=COLOURS["accepted"], alpha=0.2, linewidth=0)
         axes.axhline(honest, color=COLOURS["accepted"], lw=0.8)
         (line,) = axes.plot(times, np.ones_like(times), color=COLOURS["slam"], lw=1.2)
