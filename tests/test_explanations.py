@@ -14,7 +14,7 @@ import pytest
 from blind_answers import read
 
 from vislam_edu import se3
-from vislam_edu.exercises import EXERCISES, explain, plain
+from vislam_edu.exercises import EXERCISES, explain, plain, surroundings
 from vislam_edu.exercises.mutants import mutants
 from vislam_edu.exercises.verdict import NOT_WRITTEN, RIGHT, WRONG, judge
 
@@ -212,3 +212,9 @@ def test_a_wrong_result_has_a_picture(name, title):
     assert data["text/plain"].startswith("picture of")
     assert metadata["image/png"]["alt"]
     assert judge(EXERCISES[name], EXERCISES[name].reference).picture is None
+
+
+def test_what_a_kernel_sets_itself_is_not_the_students(monkeypatch):
+    surroundings.remember()
+    monkeypatch.setattr("builtins.input", lambda prompt="": "")
+    assert surroundings.restored() == []

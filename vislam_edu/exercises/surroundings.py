@@ -17,6 +17,7 @@ import scipy.stats
 
 _OUTPUT = 2000  # characters that an answer may print in one check
 _MEMORY = 4 * 2**30  # bytes that an answer may take
+_THE_KERNELS = {"input", "display", "get_ipython", "exit", "quit"}  # builtins that a notebook's kernel sets itself
 _CALLABLE = (types.FunctionType, types.BuiltinFunctionType, type, np.ufunc, property)
 
 
@@ -39,7 +40,7 @@ def remember() -> None:
     """Note every function of the modules that are loaded now and not noted yet."""
     for name, owner in _owners():
         for key, value in list(vars(owner).items()):
-            if isinstance(value, _CALLABLE) or callable(value):
+            if (isinstance(value, _CALLABLE) or callable(value)) and not (owner is builtins and key in _THE_KERNELS):
                 _originals.setdefault((id(owner), key), (f"{name}.{key}", owner, value))
 
 
