@@ -6,6 +6,7 @@ What differs from run to run without meaning anything (timestamps, kernel detail
 version of the program that encoded a picture) is removed or numbered: a diff then shows a change of content.
 """
 
+import asyncio
 import base64
 import importlib.util
 import json
@@ -19,7 +20,6 @@ from pathlib import Path
 
 from tqdm import tqdm
 
-from ..exercises import kernel
 from ..recordings.files import replacing
 from .arguments import OptionError
 
@@ -71,6 +71,7 @@ def _read(path):
 
 
 def _execute(notebook, path):
+    from nbclient import NotebookClient
     from nbclient.exceptions import CellExecutionError, CellTimeoutError, DeadKernelError
 
     current = ["before the first cell"]
@@ -80,8 +81,11 @@ def _execute(notebook, path):
 
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile:
         try:  # widget state is collected (nbclient 0.11 hangs on Output widgets otherwise) and dropped by _normalise
-            kernel.execute(notebook, path.resolve().parent, _kernel_environment(profile), timeout=CELL_TIMEOUT,
-                           coalesce_streams=True, on_cell_start=remember)
+            client = NotebookClient(notebook, kernel_name="python3", record_timing=False, timeout=CELL_TIMEOUT,
+                                    extra_arguments=["--log-level=ERROR"],  # not its own log; warnings are outputs
+                                    resources={"metadata": {"path": str(path.resolve().parent)}},
+                                    coalesce_streams=True, on_cell_start=remember)
+            asyncio.run(client.async_execute(env=_kernel_environment(profile)))
         except CellExecutionError as error:
             details = re.sub(r"\x1b\[[0-9;]*m", "", error.traceback)     # without colours
             raise NotebookError(f"{path}: {current[0]}: {error.ename}: {error.evalue}\n{details}") from error

@@ -6,10 +6,11 @@ that knows numpy arrays and plain containers and nothing else (`unpickling`).
 
 from __future__ import annotations
 
+import csv
 import os
 import warnings
 import zipfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from math import prod
 from pathlib import Path
@@ -222,3 +223,16 @@ def replacing(path):
         os.replace(part, path)
     finally:
         part.unlink(missing_ok=True)
+
+
+def write_csv(path: Path, header: list[str], rows: Iterable[Iterable]) -> None:
+    """A CSV file; a text that a spreadsheet would take for a formula begins with an apostrophe."""
+    with open(path, "w", newline="", encoding="utf-8") as file:
+        out = csv.writer(file)
+        out.writerow(header)
+        out.writerows([_cell(value) for value in row] for row in rows)
+
+
+def _cell(value):
+    text = shown(value) if isinstance(value, str) else value
+    return f"'{text}" if isinstance(text, str) and text.startswith(("=", "+", "-", "@")) else text
