@@ -7,6 +7,7 @@ needs, is imported when the command runs.
 import argparse
 import contextlib
 import io
+import signal
 import sys
 import traceback
 from importlib import import_module
@@ -59,9 +60,10 @@ def main(argv=None) -> int:
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")  # a terminal without the letters of a name shows question marks
     try:
-        return dispatch(sys.argv[1:] if argv is None else list(argv))
-    except KeyboardInterrupt:
-        return _stopped("interrupted; nothing was written", INTERRUPTED)
+        with _terminable():
+            return dispatch(sys.argv[1:] if argv is None else list(argv))
+    except KeyboardInterrupt as error:
+        return _stopped(f"interrupted; {str(error) or 'nothing was written'}", INTERRUPTED)
     except OSError as error:
         message = f"{error.filename2 or error.filename or 'output'}: {error.strerror or error}"
     except ModuleNotFoundError as error:
@@ -78,6 +80,23 @@ def main(argv=None) -> int:
             message = (f"unforeseen {type(error).__name__} in {Path(at.filename).name}, line {at.lineno}: {error}; "
                        "please report it with the command that you entered")
     return _stopped("vislam_edu: " + " ".join(message.split()), BAD_INPUT)
+
+
+@contextlib.contextmanager
+def _terminable():
+    """SIGTERM interrupts as Ctrl-C does, so that what is half-written is cleaned up."""
+    def interrupt(*_):
+        raise KeyboardInterrupt
+
+    try:
+        before = signal.signal(signal.SIGTERM, interrupt)
+    except ValueError:  # not the main thread
+        yield
+        return
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
 
 
 def _stopped(message: str, status: int) -> int:

@@ -90,5 +90,7 @@ def _described(error: BaseException) -> str:
 
 
 def _append(record: Path, entry: dict) -> None:
-    with suppress(OSError), open(record, "a", encoding="utf-8") as file:
-        file.write(json.dumps(entry) + "\n")
+    with suppress(OSError):
+        if stat.S_ISREG(os.stat(record).st_mode):
+            with open(record, "a", encoding="utf-8") as file:
+                file.write(json.dumps(entry) + "\n")
