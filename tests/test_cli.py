@@ -2,6 +2,7 @@
 
 import json
 import os
+import platform
 import signal
 import subprocess
 import sys
@@ -19,6 +20,7 @@ from vislam_edu.cli import outputs
 from vislam_edu.cli.run import prepare
 from vislam_edu.noise import Noise
 from vislam_edu.plots import report_figures
+from vislam_edu.recordings import files as recorded
 from vislam_edu.simulate import faults, street_loop
 from vislam_edu.studies import pipeline
 
@@ -241,22 +243,65 @@ def listen_to_ctrl_c():
     signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
-def test_ctrl_c_stops_the_program(tmp_path):
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_stops_the_program(number, tmp_path):
     recordings.save(street_loop(seed=6, frames=500), tmp_path / "long.npz")
     process = subprocess.Popen(
         [sys.executable, "-m", "vislam_edu", "run", "long.npz", "--out", "out"], cwd=tmp_path,
         stderr=subprocess.PIPE, text=True, preexec_fn=listen_to_ctrl_c if os.name == "posix" else None)
     deadline = time.monotonic() + 60
-    while not list(tmp_path.glob("out/.part-*")):  # it works from here on, for seconds
+    while not list(tmp_path.glob("out/.run.part-*")):  # it works from here on, for seconds
         assert time.monotonic() < deadline
         assert process.poll() is None
         time.sleep(0.01)
-    process.send_signal(signal.SIGINT)
+    process.send_signal(number)
     _, err = process.communicate(timeout=60)
     assert process.returncode == 130
     assert "Traceback" not in err
     assert err.endswith("interrupted; nothing was written\n")
     assert os.listdir(tmp_path) == ["long.npz"]
+
+
+def test_a_target_that_cannot_be_replaced_leaves_everything_as_it_was(tmp_path):
+    (tmp_path / "summary.json").write_text("from before")
+    (tmp_path / "tum").write_text("no folder")
+    def write():
+        with outputs.appearing_in(tmp_path) as part:
+            (part / "summary.json").write_text("new")
+            (part / "tum").mkdir()
+
+    with pytest.raises(OSError, match="is in the way of a new folder"):
+        write()
+    assert files(tmp_path) == ["summary.json", "tum"]
+    assert (tmp_path / "summary.json").read_text() == "from before"
+
+
+@pytest.mark.skipif(os.name != "posix", reason="where processes cannot be asked for, nothing is removed")
+def test_what_a_killed_run_left_is_removed_by_the_next_and_nothing_else(tmp_path):
+    ended = subprocess.Popen([sys.executable, "-c", ""])
+    ended.wait()
+    stale, living, foreign = (recorded.part_of(tmp_path, "run").with_name(name) for name in (
+        f".run.part-{platform.node()}-{ended.pid}", f".run.part-{platform.node()}-{os.getppid()}", ".run.part-other-1"))
+    for path in (stale, living, foreign):
+        path.mkdir()
+        (path / "half").touch()
+    (tmp_path / f".a.npz.part-{platform.node()}-{ended.pid}").touch()
+    with outputs.appearing_in(tmp_path), recorded.replacing(tmp_path / "a.npz"):
+        pass
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted([living.name, foreign.name, "a.npz"])
+
+
+def test_ctrl_c_during_an_import_is_one_line(monkeypatch, capsys):
+    def interrupted(*_):
+        try:
+            stop()
+        except KeyboardInterrupt:
+            raise ImportError("numpy was not loaded") from None  # what a package may make of it
+
+    for import_module in (stop, interrupted):
+        monkeypatch.setattr("vislam_edu.cli.import_module", import_module)
+        assert cli.main(["exercises", "--museum"]) == 130
+        assert capsys.readouterr().err == "interrupted; nothing was written\n"
 
 
 def test_stopped_simulation_leaves_nothing(tmp_path, monkeypatch):

@@ -273,7 +273,7 @@ def count(path):
     return sum("submission" in line for line in path.read_text().splitlines()) if path.exists() else 0
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
 def test_an_interrupted_run_goes_on_where_it_was(number, tmp_path):
     folder, out = tmp_path / "class", tmp_path / "out"
     notebook(folder / "a", [RIGHT_HAT, "open('ran', 'a').write('x')"])

@@ -74,6 +74,8 @@ def main(argv=None) -> int:
         from ..drive import DriveError
         from .arguments import OptionError
 
+        if _caused_by_interrupt(error):
+            return _stopped("interrupted; nothing was written", INTERRUPTED)
         message = str(error)
         if not isinstance(error, DriveError | OptionError):
             at = traceback.extract_tb(error.__traceback__)[-1]
@@ -97,6 +99,13 @@ def _terminable():
         yield
     finally:
         signal.signal(signal.SIGTERM, before)
+
+
+def _caused_by_interrupt(error: BaseException | None) -> bool:
+    """Whether Ctrl-C is behind an error: a package whose import it stops may say something else."""
+    while error is not None and not isinstance(error, KeyboardInterrupt):
+        error = error.__cause__ or error.__context__
+    return error is not None
 
 
 def _stopped(message: str, status: int) -> int:

@@ -7,7 +7,10 @@ that knows numpy arrays and plain containers and nothing else (`unpickling`).
 from __future__ import annotations
 
 import csv
+import glob
 import os
+import platform
+import shutil
 import warnings
 import zipfile
 from collections.abc import Iterable, Iterator, Mapping
@@ -212,11 +215,33 @@ def _pickled_dictionary(file):
     return value
 
 
+def part_of(folder: Path, name: str) -> Path:
+    """Where this process may write what will be `name` in a folder; what dead processes left there is removed."""
+    prefix = f".{name}.part-{platform.node()}-"
+    for path in folder.glob(f"{glob.escape(prefix)}*"):
+        number = path.name.removeprefix(prefix)
+        if number.isdigit() and int(number) != os.getpid() and not _runs(int(number)):
+            shutil.rmtree(path) if path.is_dir() else path.unlink(missing_ok=True)
+    return folder / f"{prefix}{os.getpid()}"
+
+
+def _runs(process: int) -> bool:
+    if os.name != "posix":  # Windows has no way of asking that is as harmless
+        return True
+    try:
+        os.kill(process, 0)
+    except (ProcessLookupError, OverflowError):
+        return False
+    except PermissionError:
+        pass
+    return True
+
+
 @contextmanager
 def replacing(path):
     """A binary file that takes the place of `path` when it is complete."""
     path = Path(path)
-    part = path.with_name(f".{path.name}.{os.getpid()}.part")
+    part = part_of(path.parent, path.name)
     try:
         with open(part, "wb") as file:
             yield file
