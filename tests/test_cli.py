@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -22,7 +23,7 @@ from vislam_edu.noise import Noise
 from vislam_edu.plots import report_figures
 from vislam_edu.recordings import files as recorded
 from vislam_edu.simulate import faults, street_loop
-from vislam_edu.studies import pipeline
+from vislam_edu.studies import breakdown, pipeline
 
 SHARED = Path(__file__).resolve().parents[2] / "shared" / "data"
 KEYS = ["frames", "duration_s", "landmarks", "landmarks_used", "measurements", "rejected_share", "filter_s",
@@ -400,7 +401,56 @@ def test_filter_that_breaks_down_is_one_line(recording, tmp_path, monkeypatch, c
 
     monkeypatch.setattr("vislam_edu.studies.pipeline.run_pipeline", broken)
     assert cli.main(["run", str(recording), "--out", str(tmp_path / "out"), "--quiet"]) == 2
-    assert "the filter broke down" in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert "the filter broke down (17-th leading minor not positive definite), neither a gap nor" in said
+    assert said.count("\n") == 1
+
+
+@pytest.fixture(scope="module")
+def gap(recording, tmp_path_factory):
+    drive = recordings.load(recording)
+    path = tmp_path_factory.mktemp("gap") / "gap.npz"
+    recordings.save(drive.replace(times=drive.times + 1e6 * (np.arange(drive.n_frames) > 30)), path)
+    return path
+
+
+@pytest.mark.parametrize(("options", "reason"), [
+    (["--sigma-v", "1e8"], "because the assumed noise is huge: sigma_v is 1e+08"),
+    (["--sigma-px", "1e-6"], "because the assumed noise is tiny: sigma_px is 1e-06; assume more"),
+    (["--sigma-px", "1e-8", "--initialisation", "as-report"], "because the assumed noise is tiny: sigma_px is 1e-08"),
+    (["gap"], "because of the gap of 1e+06 s after frame 30: cut the recording there")], ids=" ".join)
+def test_a_filter_that_breaks_down_says_what_is_likely(options, reason, recording, gap, tmp_path, capsys):
+    path, options = (gap, []) if options == ["gap"] else (recording, options)
+    assert cli.main(["run", str(path), "--out", str(tmp_path / "out"), "--quiet", *options]) == 2
+    said = capsys.readouterr().err
+    assert reason in said
+    assert said.count("\n") == 1
+    assert not (tmp_path / "out").exists()
+
+
+def test_an_indefinite_covariance_is_found_in_every_estimate(recording):
+    result = pipeline.run_pipeline(recordings.load(recording).slice(0, 20), Noise())
+    assert breakdown.unusable(result) == []
+
+    def spoiled(covariance, value):
+        changed = covariance.copy()
+        changed[-1] = -value * np.eye(len(changed[-1]))
+        return changed
+
+    for value in (1e-9, np.nan):
+        walk, path, found = result.dead_reckoning, result.slam.trajectory, result.slam.map
+        mapped = result.mapped.map
+        assert breakdown.unusable(replace(result, dead_reckoning=replace(
+            walk, covariance=spoiled(walk.covariance, value)))) == ["dead reckoning"]
+        assert breakdown.unusable(replace(result, slam=replace(result.slam, trajectory=replace(
+            path, covariance=spoiled(path.covariance, value))))) == ["the path"]
+        for name, change in (("the map", lambda new: replace(result, slam=replace(result.slam, map=new))),
+                             ("the map on the poses of dead reckoning",
+                              lambda new: replace(result, mapped=replace(result.mapped, map=new)))):
+            old = found if name == "the map" else mapped
+            covariance = old.covariance.copy()
+            covariance[np.flatnonzero(old.seen)[-1]] = -value * np.eye(3)
+            assert breakdown.unusable(change(replace(old, covariance=covariance))) == [name]
 
 
 # --- the other commands -----------------------------------------------------------------------------------
