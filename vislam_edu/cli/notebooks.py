@@ -20,7 +20,8 @@ from pathlib import Path
 
 from tqdm import tqdm
 
-from ..recordings.files import replacing
+from ..exercises import cells
+from ..recordings.files import replacing, shown
 from .arguments import OptionError
 
 NOTEBOOKS = Path(__file__).resolve().parents[2] / "notebooks"
@@ -58,13 +59,10 @@ def execute(path: Path) -> Execution:
 
 def _read(path):
     """The file's text, and the notebook in it without its outputs."""
-    import nbformat
-
     try:
-        stored = path.read_text(encoding="utf-8")
-        notebook = nbformat.reads(stored, as_version=4)
-    except (OSError, UnicodeDecodeError, nbformat.reader.NotJSONError, nbformat.ValidationError) as error:
-        raise NotebookError(f"{path}: not a readable notebook: {error}") from error
+        stored, notebook = cells.read(path)
+    except (OSError, ValueError) as error:
+        raise NotebookError(f"{path}: not a readable notebook: {shown(error)}") from error
     for cell in _code_cells(notebook):
         cell.outputs, cell.execution_count = [], None
     return stored, notebook

@@ -35,10 +35,7 @@ def refresh(path: Path) -> list[str]:
     """
     import nbformat
 
-    from .submission import code_cells
-
-    code_cells(path)
-    notebook = nbformat.read(path, as_version=4)
+    _, notebook = cells.read(path)
     changed = cells.refresh(notebook)
     if changed:
         with replacing(path) as file:
