@@ -33,7 +33,7 @@ class Parser(argparse.ArgumentParser):
     """Says what is wrong in one line, as every other error here does."""
 
     def error(self, message) -> NoReturn:
-        self.exit(BAD_INPUT, f"{self.prog}: {message} (--help explains)\n")
+        self.exit(BAD_INPUT, _one_line(f"{self.prog}: {message} (--help explains)") + "\n")
 
 
 def parser(argv) -> Parser:
@@ -81,7 +81,7 @@ def main(argv=None) -> int:
             at = traceback.extract_tb(error.__traceback__)[-1]
             message = (f"unforeseen {type(error).__name__} in {Path(at.filename).name}, line {at.lineno}: {error}; "
                        "please report it with the command that you entered")
-    return _stopped("vislam_edu: " + " ".join(message.split()), BAD_INPUT)
+    return _stopped(f"vislam_edu: {message}", BAD_INPUT)
 
 
 @contextlib.contextmanager
@@ -108,8 +108,13 @@ def _caused_by_interrupt(error: BaseException | None) -> bool:
     return error is not None
 
 
+def _one_line(text: str) -> str:
+    """Without line ends and other control characters, which a file or an option may have brought."""
+    return "".join(c if c.isprintable() else "?" for c in " ".join(text.split()))
+
+
 def _stopped(message: str, status: int) -> int:
     """Say why on one line of stderr, where there is one, and return the exit status."""
     with contextlib.suppress(OSError, ValueError):  # stderr may be closed
-        print(message, file=sys.stderr)
+        print(_one_line(message), file=sys.stderr)
     return status
