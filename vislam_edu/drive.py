@@ -76,7 +76,7 @@ class Drive:
         if value is None and field.startswith("truth"):
             return
         try:
-            if dtype is int and not np.array_equal(value, np.round(value)):  # NaN too, which a cast would hide
+            if dtype is int and not (np.isfinite(value).all() and np.array_equal(value, np.round(value))):
                 raise ValueError("expected whole numbers")
             value = np.array(value, dtype=dtype)
         except (TypeError, ValueError) as error:
