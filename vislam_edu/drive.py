@@ -76,7 +76,8 @@ class Drive:
         if value is None and field.startswith("truth"):
             return
         try:
-            if dtype is int and not (np.isfinite(value).all() and np.array_equal(value, np.round(value))):
+            if dtype is int and not (np.less(np.abs(value), 2**53).all()  # NaN, too, which a cast would hide
+                                         and np.array_equal(value, np.round(value))):
                 raise ValueError("expected whole numbers")
             value = np.array(value, dtype=dtype)
         except (TypeError, ValueError) as error:
