@@ -2,10 +2,12 @@
 
 import json
 import os
+import platform
 import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -19,8 +21,9 @@ from vislam_edu.cli import outputs
 from vislam_edu.cli.run import prepare
 from vislam_edu.noise import Noise
 from vislam_edu.plots import report_figures
+from vislam_edu.recordings import files as recorded
 from vislam_edu.simulate import faults, street_loop
-from vislam_edu.studies import pipeline
+from vislam_edu.studies import breakdown, pipeline
 
 SHARED = Path(__file__).resolve().parents[2] / "shared" / "data"
 KEYS = ["frames", "duration_s", "landmarks", "landmarks_used", "measurements", "rejected_share", "filter_s",
@@ -241,22 +244,65 @@ def listen_to_ctrl_c():
     signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
-def test_ctrl_c_stops_the_program(tmp_path):
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_stops_the_program(number, tmp_path):
     recordings.save(street_loop(seed=6, frames=500), tmp_path / "long.npz")
     process = subprocess.Popen(
         [sys.executable, "-m", "vislam_edu", "run", "long.npz", "--out", "out"], cwd=tmp_path,
         stderr=subprocess.PIPE, text=True, preexec_fn=listen_to_ctrl_c if os.name == "posix" else None)
     deadline = time.monotonic() + 60
-    while not list(tmp_path.glob("out/.part-*")):  # it works from here on, for seconds
+    while not list(tmp_path.glob("out/.run.part-*")):  # it works from here on, for seconds
         assert time.monotonic() < deadline
         assert process.poll() is None
         time.sleep(0.01)
-    process.send_signal(signal.SIGINT)
+    process.send_signal(number)
     _, err = process.communicate(timeout=60)
     assert process.returncode == 130
     assert "Traceback" not in err
     assert err.endswith("interrupted; nothing was written\n")
     assert os.listdir(tmp_path) == ["long.npz"]
+
+
+def test_a_target_that_cannot_be_replaced_leaves_everything_as_it_was(tmp_path):
+    (tmp_path / "summary.json").write_text("from before")
+    (tmp_path / "tum").write_text("no folder")
+    def write():
+        with outputs.appearing_in(tmp_path) as part:
+            (part / "summary.json").write_text("new")
+            (part / "tum").mkdir()
+
+    with pytest.raises(OSError, match="is in the way of a new folder"):
+        write()
+    assert files(tmp_path) == ["summary.json", "tum"]
+    assert (tmp_path / "summary.json").read_text() == "from before"
+
+
+@pytest.mark.skipif(os.name != "posix", reason="where processes cannot be asked for, nothing is removed")
+def test_what_a_killed_run_left_is_removed_by_the_next_and_nothing_else(tmp_path):
+    ended = subprocess.Popen([sys.executable, "-c", ""])
+    ended.wait()
+    stale, living, foreign = (recorded.part_of(tmp_path, "run").with_name(name) for name in (
+        f".run.part-{platform.node()}-{ended.pid}", f".run.part-{platform.node()}-{os.getppid()}", ".run.part-other-1"))
+    for path in (stale, living, foreign):
+        path.mkdir()
+        (path / "half").touch()
+    (tmp_path / f".a.npz.part-{platform.node()}-{ended.pid}").touch()
+    with outputs.appearing_in(tmp_path), recorded.replacing(tmp_path / "a.npz"):
+        pass
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted([living.name, foreign.name, "a.npz"])
+
+
+def test_ctrl_c_during_an_import_is_one_line(monkeypatch, capsys):
+    def interrupted(*_):
+        try:
+            stop()
+        except KeyboardInterrupt:
+            raise ImportError("numpy was not loaded") from None  # what a package may make of it
+
+    for import_module in (stop, interrupted):
+        monkeypatch.setattr("vislam_edu.cli.import_module", import_module)
+        assert cli.main(["exercises", "--museum"]) == 130
+        assert capsys.readouterr().err == "interrupted; nothing was written\n"
 
 
 def test_stopped_simulation_leaves_nothing(tmp_path, monkeypatch):
@@ -355,7 +401,56 @@ def test_filter_that_breaks_down_is_one_line(recording, tmp_path, monkeypatch, c
 
     monkeypatch.setattr("vislam_edu.studies.pipeline.run_pipeline", broken)
     assert cli.main(["run", str(recording), "--out", str(tmp_path / "out"), "--quiet"]) == 2
-    assert "the filter broke down" in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert "the filter broke down (17-th leading minor not positive definite), neither a gap nor" in said
+    assert said.count("\n") == 1
+
+
+@pytest.fixture(scope="module")
+def gap(recording, tmp_path_factory):
+    drive = recordings.load(recording)
+    path = tmp_path_factory.mktemp("gap") / "gap.npz"
+    recordings.save(drive.replace(times=drive.times + 1e6 * (np.arange(drive.n_frames) > 30)), path)
+    return path
+
+
+@pytest.mark.parametrize(("options", "reason"), [
+    (["--sigma-v", "1e8"], "because the assumed noise is huge: sigma_v is 1e+08"),
+    (["--sigma-px", "1e-6"], "because the assumed noise is tiny: sigma_px is 1e-06; assume more"),
+    (["--sigma-px", "1e-8", "--initialisation", "as-report"], "because the assumed noise is tiny: sigma_px is 1e-08"),
+    (["gap"], "because of the gap of 1e+06 s after frame 30: cut the recording there")], ids=" ".join)
+def test_a_filter_that_breaks_down_says_what_is_likely(options, reason, recording, gap, tmp_path, capsys):
+    path, options = (gap, []) if options == ["gap"] else (recording, options)
+    assert cli.main(["run", str(path), "--out", str(tmp_path / "out"), "--quiet", *options]) == 2
+    said = capsys.readouterr().err
+    assert reason in said
+    assert said.count("\n") == 1
+    assert not (tmp_path / "out").exists()
+
+
+def test_an_indefinite_covariance_is_found_in_every_estimate(recording):
+    result = pipeline.run_pipeline(recordings.load(recording).slice(0, 20), Noise())
+    assert breakdown.unusable(result) == []
+
+    def spoiled(covariance, value):
+        changed = covariance.copy()
+        changed[-1] = -value * np.eye(len(changed[-1]))
+        return changed
+
+    for value in (1e-9, np.nan):
+        walk, path, found = result.dead_reckoning, result.slam.trajectory, result.slam.map
+        mapped = result.mapped.map
+        assert breakdown.unusable(replace(result, dead_reckoning=replace(
+            walk, covariance=spoiled(walk.covariance, value)))) == ["dead reckoning"]
+        assert breakdown.unusable(replace(result, slam=replace(result.slam, trajectory=replace(
+            path, covariance=spoiled(path.covariance, value))))) == ["the path"]
+        for name, change in (("the map", lambda new: replace(result, slam=replace(result.slam, map=new))),
+                             ("the map on the poses of dead reckoning",
+                              lambda new: replace(result, mapped=replace(result.mapped, map=new)))):
+            old = found if name == "the map" else mapped
+            covariance = old.covariance.copy()
+            covariance[np.flatnonzero(old.seen)[-1]] = -value * np.eye(3)
+            assert breakdown.unusable(change(replace(old, covariance=covariance))) == [name]
 
 
 # --- the other commands -----------------------------------------------------------------------------------

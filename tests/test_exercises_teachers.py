@@ -1,4 +1,4 @@
-"""For teachers: submissions are graded in a fresh kernel, and the cells are what nbgrader expects."""
+"""For teachers: submissions are graded, and the cells are what nbgrader expects."""
 
 import csv
 import importlib.util
@@ -14,7 +14,7 @@ import pytest
 from nbformat import v4
 
 from vislam_edu import cli as command_line
-from vislam_edu.exercises import EXERCISES, cells, grading, museum, report
+from vislam_edu.exercises import EXERCISES, cells, grading, museum
 from vislam_edu.exercises.verdict import NOT_WRITTEN, RIGHT, WRONG
 
 NOTEBOOKS = sorted((Path(__file__).parents[1] / "notebooks").glob("*.ipynb"))
@@ -43,10 +43,6 @@ def filled(exercise, answer):
 
 def joined(lists):
     return list(itertools.chain.from_iterable(lists))
-
-
-def rows(submission):
-    return {result.exercise: (result.status, result.mistake) for result in submission.results}
 
 
 @pytest.fixture(scope="module")
@@ -100,56 +96,7 @@ def test_the_report_holds_the_same_in_both_formats(reported):
     assert content[2]["exercises"][0]["detail"].startswith("so3_hat: wrong, on input ")
 
 
-# --- submissions that misbehave ---------------------------------------------------------------------------
-
 HAT = EXERCISES["so3_hat"]
-
-
-def test_a_broken_cell_costs_only_its_own_exercise_and_secrets_stay_out(tmp_path, monkeypatch):
-    monkeypatch.setenv("TOKEN", "secret")
-    broken, test = cells.pair(EXERCISES["odot"])
-    broken.source = "def odot(point)\n    return 1"
-    curious, its_test = cells.pair(EXERCISES["adjoint"])
-    curious.source = "import os\n\n\ndef adjoint(T):\n    raise ValueError(os.environ.get('TOKEN'))"
-    path = write(tmp_path / "a.ipynb", [
-        broken, test, curious, its_test, *filled(HAT, "EXERCISES['so3_hat'].reference")])
-    submission = grading.grade(path, "a")
-    assert rows(submission) == {"so3_hat": (RIGHT, ""), "adjoint": (WRONG, ""), "odot": (grading.NO_VERDICT, "")}
-    assert submission.results[2].detail == "NameError: name 'odot' is not defined"
-    assert "odot: no verdict (NameError: name 'odot' is not defined)" in report.table([submission])
-    assert "ValueError: None" in submission.results[1].detail
-
-
-def test_a_notebook_that_never_ends_is_stopped(tmp_path):
-    path = write(tmp_path / "a.ipynb", [v4.new_code_cell("while True: pass"), *cells.pair(HAT)])
-    submission = grading.grade(path, "a", limit=2)
-    assert submission.problem == "stopped after 2 s"
-    assert rows(submission) == {"so3_hat": (grading.NO_VERDICT, "")}
-
-
-def test_a_notebook_that_kills_its_kernel_keeps_the_verdicts_so_far(tmp_path):
-    path = write(tmp_path / "a.ipynb", [*filled(HAT, "EXERCISES['so3_hat'].reference"),
-                                        v4.new_code_cell("import os\nos._exit(1)"), *cells.pair(EXERCISES["odot"])])
-    submission = grading.grade(path, "a")
-    assert submission.problem.startswith("the kernel died")
-    assert rows(submission) == {"so3_hat": (RIGHT, ""), "odot": (grading.NO_VERDICT, "")}
-
-
-@pytest.mark.parametrize("text", ["no notebook", "{}", '{"cells": 3, "nbformat": 4}'])
-def test_an_unreadable_notebook_is_said_and_does_not_stop_the_others(tmp_path, text):
-    path = tmp_path / "a.ipynb"
-    path.write_text(text, encoding="utf-8")
-    submission = grading.grade(path, "a")
-    assert submission.problem.startswith("not a readable notebook")
-    assert "not a readable notebook" in report.table([submission])
-
-
-def test_a_record_that_was_meddled_with_is_read_as_far_as_it_makes_sense(tmp_path):
-    record = tmp_path / "verdicts"
-    good = json.dumps({"exercise": "odot", "status": RIGHT, "mistake": "", "text": "odot: right"})
-    record.write_text('[]\n{"exercise": "odot"}\n3\n{"exerc\n' + good.replace("odot", "nothing") + f"\n{good}\n",
-                      encoding="utf-8")
-    assert list(grading._verdicts(record)) == ["odot"]
 
 
 @pytest.mark.parametrize(("name", "words"), [("missing", "no such notebook"), ("", "no notebooks in this folder")])
@@ -179,7 +126,7 @@ def test_stubs_of_a_chapter_are_printed(capsys):
 
 
 @pytest.mark.parametrize("arguments", [
-    [], ["--stubs", "9"], ["--report", "a", "--limit", "0"], ["--museum", "--stubs", "1"]], ids=" ".join)
+    [], ["--stubs", "99"], ["--report", "a", "--limit", "0"], ["--museum", "--stubs", "1"]], ids=" ".join)
 def test_bad_arguments_are_refused(arguments, capsys):
     with pytest.raises(SystemExit) as error:
         command(*arguments)

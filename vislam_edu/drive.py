@@ -76,7 +76,8 @@ class Drive:
         if value is None and field.startswith("truth"):
             return
         try:
-            if dtype is int and not np.array_equal(value, np.round(value)):  # NaN too, which a cast would hide
+            if dtype is int and not (np.less(np.abs(np.asarray(value, float)), 2.0**53).all()
+                                         and np.array_equal(value, np.round(value))):  # a cast would hide it
                 raise ValueError("expected whole numbers")
             value = np.array(value, dtype=dtype)
         except (TypeError, ValueError) as error:

@@ -7,6 +7,7 @@ needs, is imported when the command runs.
 import argparse
 import contextlib
 import io
+import signal
 import sys
 import traceback
 from importlib import import_module
@@ -32,7 +33,7 @@ class Parser(argparse.ArgumentParser):
     """Says what is wrong in one line, as every other error here does."""
 
     def error(self, message) -> NoReturn:
-        self.exit(BAD_INPUT, f"{self.prog}: {message} (--help explains)\n")
+        self.exit(BAD_INPUT, _one_line(f"{self.prog}: {message} (--help explains)") + "\n")
 
 
 def parser(argv) -> Parser:
@@ -59,9 +60,10 @@ def main(argv=None) -> int:
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")  # a terminal without the letters of a name shows question marks
     try:
-        return dispatch(sys.argv[1:] if argv is None else list(argv))
-    except KeyboardInterrupt:
-        return _stopped("interrupted; nothing was written", INTERRUPTED)
+        with _terminable():
+            return dispatch(sys.argv[1:] if argv is None else list(argv))
+    except KeyboardInterrupt as error:
+        return _stopped(f"interrupted; {str(error) or 'nothing was written'}", INTERRUPTED)
     except OSError as error:
         message = f"{error.filename2 or error.filename or 'output'}: {error.strerror or error}"
     except ModuleNotFoundError as error:
@@ -72,16 +74,47 @@ def main(argv=None) -> int:
         from ..drive import DriveError
         from .arguments import OptionError
 
+        if _caused_by_interrupt(error):
+            return _stopped("interrupted; nothing was written", INTERRUPTED)
         message = str(error)
         if not isinstance(error, DriveError | OptionError):
             at = traceback.extract_tb(error.__traceback__)[-1]
             message = (f"unforeseen {type(error).__name__} in {Path(at.filename).name}, line {at.lineno}: {error}; "
                        "please report it with the command that you entered")
-    return _stopped("vislam_edu: " + " ".join(message.split()), BAD_INPUT)
+    return _stopped(f"vislam_edu: {message}", BAD_INPUT)
+
+
+@contextlib.contextmanager
+def _terminable():
+    """SIGTERM interrupts as Ctrl-C does, so that what is half-written is cleaned up."""
+    def interrupt(*_):
+        raise KeyboardInterrupt
+
+    try:
+        before = signal.signal(signal.SIGTERM, interrupt)
+    except ValueError:  # not the main thread
+        yield
+        return
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+def _caused_by_interrupt(error: BaseException | None) -> bool:
+    """Whether Ctrl-C is behind an error: a package whose import it stops may say something else."""
+    while error is not None and not isinstance(error, KeyboardInterrupt):
+        error = error.__cause__ or error.__context__
+    return error is not None
+
+
+def _one_line(text: str) -> str:
+    """Without line ends and other control characters, which a file or an option may have brought."""
+    return "".join(c if c.isprintable() else "?" for c in " ".join(text.split()))
 
 
 def _stopped(message: str, status: int) -> int:
     """Say why on one line of stderr, where there is one, and return the exit status."""
     with contextlib.suppress(OSError, ValueError):  # stderr may be closed
-        print(message, file=sys.stderr)
+        print(_one_line(message), file=sys.stderr)
     return status

@@ -1,10 +1,10 @@
 """`python -m vislam_edu clinic`: an examination handed out as case files and graded with a secret key."""
 
-import csv
 import json
 import secrets
 from pathlib import Path
 
+from ..recordings.files import write_csv
 from .arguments import OptionError, whole
 
 
@@ -66,10 +66,7 @@ def _grade(arguments) -> int:
         except (ValueError, KeyError, TypeError, AttributeError) as error:
             rows.append({"file": file.name, "problem": f"not a case file: {' '.join(str(error).split())}"})
     columns = ["file", "student", "patient", "total", "piece", "kind", "evidence", "cure", "thrift", "problem"]
-    with open(arguments.out / "clinic.csv", "w", newline="", encoding="utf-8") as out:
-        table = csv.DictWriter(out, columns, extrasaction="ignore", restval="")
-        table.writeheader()
-        table.writerows(rows)
+    write_csv(arguments.out / "clinic.csv", columns, ([row.get(column, "") for column in columns] for row in rows))
     (arguments.out / "clinic.json").write_text(json.dumps(rows, indent=2) + "\n", encoding="utf-8")
     for row in rows:
         print(f"{row['file']:24} {row.get('patient', ''):>3} {row.get('total', ''):>6}  {row.get('problem', '')}")

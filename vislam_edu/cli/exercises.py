@@ -1,9 +1,11 @@
 """`python -m vislam_edu exercises`: submissions graded, the museum as a table, stubs for authors."""
 
+import importlib.util
+import tempfile
 from pathlib import Path
 
-from ..exercises import EXERCISES, grading, museum, report
-from .arguments import number
+from ..exercises import EXERCISES, collecting, grading, museum, report, sandbox
+from .arguments import OptionError, number, whole
 
 
 def add_arguments(parser):
@@ -19,9 +21,16 @@ def add_arguments(parser):
                       help="for authors: bring the exercise cells of a notebook up to date, with nbgrader's metadata; "
                            "answers in them are lost")
     parser.add_argument("--out", type=Path, default=Path(), metavar="DIR",
-                        help="where --report writes exercises.csv and exercises.json (default: here)")
-    parser.add_argument("--limit", type=number(0, low_allowed=False), default=grading.LIMIT, metavar="S",
+                        help="where --report writes exercises.csv and .json, matrix.csv, summary.txt and feedback/ "
+                             "(default: here); what an interrupted run has graded is kept there too")
+    parser.add_argument("--limit", type=number(0, 10**6, low_allowed=False), default=grading.LIMIT, metavar="S",
                         help=f"seconds that one submitted notebook may take (default: {grading.LIMIT:g})")
+    parser.add_argument("--jobs", type=whole(1, 256), default=1, metavar="N", help="notebooks at a time (default: 1)")
+    parser.add_argument("--sandbox", action="store_true",
+                        help="run each notebook in bubblewrap, podman or docker, without network and with the "
+                             "submissions read-only; refuse where none of them works")
+    parser.add_argument("--image", default=sandbox.IMAGE, metavar="NAME",
+                        help=f"for podman and docker: an image that has this package (default: {sandbox.IMAGE})")
 
 
 def run(arguments) -> int:
@@ -31,11 +40,33 @@ def run(arguments) -> int:
     elif arguments.stubs is not None:
         print(report.stubs(arguments.stubs))
     elif arguments.refresh is not None:
-        print(f"{arguments.refresh}: changed {', '.join(report.refresh(arguments.refresh)) or 'nothing'}")
+        try:
+            changed = report.refresh(arguments.refresh)
+        except ValueError as error:
+            raise OptionError(f"{arguments.refresh}: {error}") from None
+        print(f"{arguments.refresh}: changed {', '.join(changed) or 'nothing'}")
     else:
-        arguments.out.mkdir(parents=True, exist_ok=True)
-        submissions = report.graded(arguments.report, arguments.limit)
-        print(report.table(submissions))
-        report.write(submissions, arguments.out)
-        print(f"written to {arguments.out / 'exercises.csv'} and {arguments.out / 'exercises.json'}")
+        _report(arguments)
     return 0
+
+
+def _report(arguments) -> None:
+    if importlib.util.find_spec("IPython") is None:
+        raise OptionError("IPython is needed to run notebooks: python -m pip install ipykernel")
+    collecting.notebooks(arguments.report)  # before anything is made
+    chosen = _sandbox(arguments) if arguments.sandbox else None
+    arguments.out.mkdir(parents=True, exist_ok=True)
+    submissions = collecting.graded(arguments.report, arguments.out, arguments.limit, arguments.jobs, chosen)
+    report.write(submissions, arguments.out)
+    (arguments.out / collecting.KEPT).unlink()
+    print(report.table(submissions) + "\n\n" + report.summary(submissions))
+    print(f"written to {arguments.out}: exercises.csv, exercises.json, matrix.csv, summary.txt, feedback")
+
+
+def _sandbox(arguments) -> sandbox.Sandbox:
+    folder = arguments.report if arguments.report.is_dir() else arguments.report.parent
+    with tempfile.TemporaryDirectory(prefix="vislam_edu-") as scratch:
+        try:
+            return sandbox.find(folder.resolve(), Path(scratch), arguments.image)
+        except sandbox.SandboxError as error:
+            raise OptionError(f"exercises --sandbox: {error}") from None

@@ -6,6 +6,7 @@ What differs from run to run without meaning anything (timestamps, kernel detail
 version of the program that encoded a picture) is removed or numbered: a diff then shows a change of content.
 """
 
+import asyncio
 import base64
 import importlib.util
 import json
@@ -19,8 +20,8 @@ from pathlib import Path
 
 from tqdm import tqdm
 
-from ..exercises import kernel
-from ..recordings.files import replacing
+from ..exercises import cells
+from ..recordings.files import replacing, shown
 from .arguments import OptionError
 
 NOTEBOOKS = Path(__file__).resolve().parents[2] / "notebooks"
@@ -58,19 +59,17 @@ def execute(path: Path) -> Execution:
 
 def _read(path):
     """The file's text, and the notebook in it without its outputs."""
-    import nbformat
-
     try:
-        stored = path.read_text(encoding="utf-8")
-        notebook = nbformat.reads(stored, as_version=4)
-    except (OSError, UnicodeDecodeError, nbformat.reader.NotJSONError, nbformat.ValidationError) as error:
-        raise NotebookError(f"{path}: not a readable notebook: {error}") from error
+        stored, notebook = cells.read(path)
+    except (OSError, ValueError) as error:
+        raise NotebookError(f"{path}: not a readable notebook: {shown(error)}") from error
     for cell in _code_cells(notebook):
         cell.outputs, cell.execution_count = [], None
     return stored, notebook
 
 
 def _execute(notebook, path):
+    from nbclient import NotebookClient
     from nbclient.exceptions import CellExecutionError, CellTimeoutError, DeadKernelError
 
     current = ["before the first cell"]
@@ -80,8 +79,11 @@ def _execute(notebook, path):
 
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile:
         try:  # widget state is collected (nbclient 0.11 hangs on Output widgets otherwise) and dropped by _normalise
-            kernel.execute(notebook, path.resolve().parent, _kernel_environment(profile), timeout=CELL_TIMEOUT,
-                           coalesce_streams=True, on_cell_start=remember)
+            client = NotebookClient(notebook, kernel_name="python3", record_timing=False, timeout=CELL_TIMEOUT,
+                                    extra_arguments=["--log-level=ERROR"],  # not its own log; warnings are outputs
+                                    resources={"metadata": {"path": str(path.resolve().parent)}},
+                                    coalesce_streams=True, on_cell_start=remember)
+            asyncio.run(client.async_execute(env=_kernel_environment(profile)))
         except CellExecutionError as error:
             details = re.sub(r"\x1b\[[0-9;]*m", "", error.traceback)     # without colours
             raise NotebookError(f"{path}: {current[0]}: {error.ename}: {error.evalue}\n{details}") from error

@@ -4,7 +4,7 @@ import errno
 import json
 import math
 import os
-import tempfile
+import shutil
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -14,6 +14,7 @@ from .. import metrics, recordings, se3
 from ..error_state import RightPerturbation
 from ..plots import report_figures, style
 from ..plots.graph import draw_batch
+from ..recordings.files import part_of
 
 
 def summary(result, smoothed=None) -> dict:
@@ -161,8 +162,8 @@ def write(result, folder, smoothed=None):
 def appearing_in(folder):
     """A scratch folder whose files move into `folder` when the block ends well, and vanish when it does not.
 
-    An interrupted run thus leaves nothing half-written and what was there before as it was. Entering makes
-    `folder`, so that one that cannot be written to is found before the work and not after.
+    An interrupted run thus leaves nothing half-written and what was there before as it was; so does one that has a file
+    that cannot be put in its place. Entering makes `folder`: one that cannot be written to is found before the work.
     """
     folder = Path(folder)
     made = not folder.exists()
@@ -170,19 +171,33 @@ def appearing_in(folder):
         raise NotADirectoryError(errno.ENOTDIR, "is a file, expected a folder", str(folder))
     folder.mkdir(parents=True, exist_ok=True)
     try:
-        with tempfile.TemporaryDirectory(dir=folder, prefix=".part-") as scratch:
-            yield Path(scratch)
-            for path in sorted(Path(scratch).rglob("*")):
-                target = folder / path.relative_to(scratch)
+        scratch = part_of(folder, "run")
+        scratch.mkdir()
+        try:
+            yield scratch
+            moves = [(path, folder / path.relative_to(scratch)) for path in sorted(scratch.rglob("*"))]
+            for path, target in moves:
+                _check_target(path, target)
+            for path, target in moves:
                 if path.is_dir():
                     target.mkdir(exist_ok=True)
                 else:
                     os.replace(path, target)
+        finally:
+            shutil.rmtree(scratch, ignore_errors=True)
     except BaseException:
         if made:
             with suppress(OSError):  # not empty after all: something else writes there
                 folder.rmdir()
         raise
+
+
+def _check_target(path: Path, target: Path) -> None:
+    """Raises OSError when a file or folder cannot be put there."""
+    if target.exists() and path.is_dir() != target.is_dir():
+        raise OSError(errno.EEXIST, f"is in the way of a new {'folder' if path.is_dir() else 'file'}", str(target))
+    if target.parent.exists() and not os.access(target.parent, os.W_OK):
+        raise PermissionError(errno.EACCES, "Permission denied", str(target))
 
 
 def description(drive) -> str:

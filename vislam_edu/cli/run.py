@@ -91,7 +91,7 @@ def run(arguments):
     from .. import batch, window_slam
     from ..drive import DriveError
     from ..error_state import RightInvariant, RightPerturbation
-    from ..studies import pipeline
+    from ..studies import breakdown, pipeline
     from . import outputs
 
     if arguments.causal and not arguments.audit:
@@ -110,8 +110,11 @@ def run(arguments):
                     consider_calibration=arguments.calibration,
                     progress=partial(tqdm, unit="run", disable=arguments.quiet), **options)
         except LinAlgError as error:
-            raise DriveError(f"{arguments.recording}: the filter broke down ({error}), a covariance is no "
-                             "longer positive definite: give the sensors more noise") from None
+            raise DriveError(f"{arguments.recording}: the filter broke down ({error}), "
+                             f"{breakdown.likely_reason(drive, noise)}") from None
+        if unusable := breakdown.unusable(result):
+            raise DriveError(f"{arguments.recording}: not finite, or with a covariance that is not positive definite: "
+                             f"{', '.join(unusable)}; {breakdown.likely_reason(drive, noise)}")
         smoothed = None
         if arguments.batch:
             problem = (batch.of_real_drive(drive, noise, scale_sigma=0.05) if arguments.audit

@@ -6,7 +6,12 @@ passed.
 """
 
 import re
+import warnings
+from pathlib import Path
+from typing import Any
 
+from ..recordings.files import shown
+from . import submission
 from .exercise import EXERCISES, Exercise
 
 POINTS = 1
@@ -34,6 +39,21 @@ def pair(exercise: Exercise) -> list:
         v4.new_code_cell(test, id="check-" + name.replace("_", "-"), metadata={"nbgrader": common | {
             "grade": True, "grade_id": f"check_{name}", "locked": True, "points": POINTS, "solution": False}}),
     ]
+
+
+def read(path: Path) -> tuple[str, Any]:
+    """The text of a notebook file and the notebook. Raises OSError, and ValueError for no valid one of version 4."""
+    import nbformat
+
+    submission.code_cells(path)  # what is no notebook at all gets a sentence of ours
+    text = submission.read(path)
+    try:
+        with warnings.catch_warnings(action="ignore"):  # about cells without ids
+            notebook = nbformat.reader.reads(text)
+            nbformat.validate(notebook)
+    except Exception as error:  # nbformat raises what its parsers raise
+        raise ValueError(f"not a valid notebook ({shown(getattr(error, 'message', error))})") from None
+    return text, notebook
 
 
 def refresh(notebook) -> list[str]:

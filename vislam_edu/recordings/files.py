@@ -6,10 +6,14 @@ that knows numpy arrays and plain containers and nothing else (`unpickling`).
 
 from __future__ import annotations
 
+import csv
+import glob
 import os
+import platform
+import shutil
 import warnings
 import zipfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from math import prod
 from pathlib import Path
@@ -211,14 +215,49 @@ def _pickled_dictionary(file):
     return value
 
 
+def part_of(folder: Path, name: str) -> Path:
+    """Where this process may write what will be `name` in a folder; what dead processes left there is removed."""
+    prefix = f".{name}.part-{platform.node()}-"
+    for path in folder.glob(f"{glob.escape(prefix)}*"):
+        number = path.name.removeprefix(prefix)
+        if number.isdigit() and int(number) != os.getpid() and not _runs(int(number)):
+            shutil.rmtree(path) if path.is_dir() else path.unlink(missing_ok=True)
+    return folder / f"{prefix}{os.getpid()}"
+
+
+def _runs(process: int) -> bool:
+    if os.name != "posix":  # Windows has no way of asking that is as harmless
+        return True
+    try:
+        os.kill(process, 0)
+    except (ProcessLookupError, OverflowError):
+        return False
+    except PermissionError:
+        pass
+    return True
+
+
 @contextmanager
 def replacing(path):
     """A binary file that takes the place of `path` when it is complete."""
     path = Path(path)
-    part = path.with_name(f".{path.name}.{os.getpid()}.part")
+    part = part_of(path.parent, path.name)
     try:
         with open(part, "wb") as file:
             yield file
         os.replace(part, path)
     finally:
         part.unlink(missing_ok=True)
+
+
+def write_csv(path: Path, header: list[str], rows: Iterable[Iterable]) -> None:
+    """A CSV file; a text that a spreadsheet would take for a formula begins with an apostrophe."""
+    with open(path, "w", newline="", encoding="utf-8") as file:
+        out = csv.writer(file)
+        out.writerow(header)
+        out.writerows([_cell(value) for value in row] for row in rows)
+
+
+def _cell(value):
+    text = shown(value) if isinstance(value, str) else value
+    return f"'{text}" if isinstance(text, str) and text.startswith(("=", "+", "-", "@")) else text

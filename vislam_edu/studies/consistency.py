@@ -29,9 +29,10 @@ import numpy as np
 from tqdm.auto import tqdm
 
 from .. import metrics, se3, window_slam
+from ..drive import DriveError
 from ..error_state import ErrorState, RightInvariant, RightPerturbation
 from ..noise import Noise
-from ..recordings.files import replacing
+from ..recordings import files
 
 _START = 100  # the stream of a seed that draws the filter's initial pose; simulate uses the first few
 
@@ -131,18 +132,25 @@ def _one_seed(make_drive, filters, seed, path, study):
     runs = {name: judge(drive, candidate, initial_pose(drive, candidate, seed))
             for name, candidate in filters.items()}
     if path is not None:
-        with replacing(path) as file:
+        with files.replacing(path) as file:
             np.savez(file, study=study, **{f"{name}.{key}": value
                                            for name, run in runs.items() for key, value in run.items()})
     return runs
 
 
 def _load(path, filters, study):
-    with np.load(path, allow_pickle=False) as file:
-        if file["study"] != study:
+    with files.errors_name(path), files.open_fields(path) as file:
+        if file.text("study") != study:
             raise ValueError(f"{path} belongs to a study of other drives or filters: "
                              "give another directory, or delete this one")
-        return {name: {key: file[f"{name}.{key}"] for key in _FIELDS} for name in filters}
+        runs = {name: {key: file.numbers(f"{name}.{key}") for key in _FIELDS} for name in filters}
+        frames = next(iter(runs.values()))["error"].size
+        for name, run in runs.items():
+            for key, values in run.items():
+                shape = () if key == "nis" else (frames,)
+                if (values.dtype, values.shape) != (float, shape) or not (np.abs(values) < 1e100).all():
+                    raise DriveError(f"{name}.{key}: not as the study wrote it: delete this file")
+        return runs
 
 
 def monte_carlo(make_drive, filters, seeds, out=None):

@@ -1,0 +1,10 @@
+"""A short slice of `python tests/fuzz.py`, which runs thousands of such cases."""
+
+import fuzz
+import pytest
+
+
+@pytest.mark.parametrize("kind", fuzz.KINDS)
+def test_what_is_damaged_ends_well_or_in_one_line(kind):
+    found = [fuzz.problem_of(kind, seed) for seed in range(10_000, 10_005 if kind == "study" else 10_012)]
+    assert [problem for problem in found if problem] == []

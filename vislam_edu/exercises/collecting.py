@@ -1,0 +1,111 @@
+"""Grade all notebooks of a folder, several at a time; each result is kept at once, and an interrupted run goes on."""
+
+import hashlib
+import json
+import os
+import threading
+from collections import Counter
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor, as_completed
+from contextlib import suppress
+from dataclasses import asdict
+from pathlib import Path
+
+from . import grading, submission
+from .grading import Result, Submission
+from .sandbox import Sandbox
+
+KEPT = "exercises.partial.jsonl"  # beside the report, until it is complete
+_TRIES = 2
+
+
+def notebooks(path: Path) -> list[Path]:
+    """The notebooks at a path: itself, or all in and below a folder. Raises OSError when there are none."""
+    if not path.is_dir():
+        if not path.exists():
+            raise FileNotFoundError(2, "there is no such notebook or folder", str(path))
+        return [path]
+    found = [file for file in sorted(path.rglob("*.ipynb")) if ".ipynb_checkpoints" not in file.parts]
+    if not found:
+        raise FileNotFoundError(2, "no notebooks in this folder", str(path))
+    return found
+
+
+def graded(path: Path, folder: Path, limit: float = grading.LIMIT, jobs: int = 1,
+           sandbox: Sandbox | None = None) -> list[Submission]:
+    """Run the notebooks at a path, with a progress bar. Returns them in the order of their names.
+
+    folder : where `KEPT` holds what is graded. limit : s, for each. jobs : how many at a time.
+    Raises KeyboardInterrupt, with what is kept in its text, when it is interrupted.
+    """
+    from tqdm import tqdm
+
+    root = path if path.is_dir() else path.parent
+    files = {file.relative_to(root).as_posix(): file for file in notebooks(path)}
+    stop, lock = threading.Event(), threading.Lock()
+    digests = {name: _digest(file) for name, file in files.items()}
+    done, tries = _kept(folder / KEPT, digests)
+    for name in files:
+        if name not in done and tries[name] >= _TRIES:
+            done[name] = Submission(name, problem="not graded: twice the grader was ended while this was running; run "
+                                                  "it with --sandbox")
+
+    with open(folder / KEPT, "a", encoding="utf-8") as log:
+        def keep(name, event, **content):
+            with lock:
+                log.write(json.dumps({"notebook": name, "digest": digests[name], event: True} | content) + "\n")
+                log.flush()
+                os.fsync(log.fileno())
+
+        def work(name):
+            keep(name, "started")
+            try:
+                result = grading.grade(files[name], name, limit, sandbox, root.resolve(), stop)
+            except grading.Stopped:
+                keep(name, "stopped")
+                return
+            keep(name, "graded", submission=asdict(result))
+            done[name] = result
+
+        pool = ThreadPoolExecutor(jobs)
+        try:
+            tasks = [pool.submit(work, name) for name in files if name not in done]
+            for task in tqdm(as_completed(tasks), total=len(files), initial=len(files) - len(tasks), unit="notebook",
+                             leave=False, disable=None):
+                task.result()
+        except KeyboardInterrupt:
+            raise KeyboardInterrupt(f"{len(done)} of {len(files)} notebooks are graded, and kept in {folder / KEPT}: "
+                                    "the same command goes on from there") from None
+        finally:
+            stop.set()
+            pool.shutdown(cancel_futures=True)
+    return [done[name] for name in files]
+
+
+def _digest(file: Path) -> str:
+    try:
+        return hashlib.sha256(submission.read(file).encode()).hexdigest()
+    except (OSError, ValueError):
+        return ""
+
+
+def _kept(path: Path, digests: dict[str, str]) -> tuple[dict[str, Submission], Counter[str]]:
+    """What is graded already, and how often each notebook was begun and neither finished nor stopped."""
+    done: dict[str, Submission] = {}
+    tries: Counter[str] = Counter()
+    for entry in _lines(path):
+        name = entry["notebook"]
+        if digests.get(name) != entry["digest"]:  # handed in anew
+            continue
+        tries[name] += ("started" in entry) - ("stopped" in entry)
+        if "submission" in entry:
+            content = entry["submission"]
+            done[name] = Submission(name, [Result(**result) for result in content["results"]], content["problem"])
+    return done, tries
+
+
+def _lines(path: Path) -> Iterator[dict]:
+    if path.exists():
+        for line in path.read_text(encoding="utf-8").splitlines():
+            with suppress(ValueError):  # the last one may be cut off
+                yield json.loads(line)
