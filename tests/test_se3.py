@@ -327,3 +327,16 @@ def test_no_warning_and_no_nan_at_any_angle(angle):
     for function in (se3.exp, se3.left_jacobian, se3.right_jacobian):
         assert np.isfinite(function(xi)).all()
     assert np.isfinite(se3.log(se3.exp(xi))).all()
+
+
+ARGUMENTS = {"so3_hat": "omega", "so3_vee": "matrix", "so3_exp": "phi", "so3_log": "R", "so3_left_jacobian": "phi",
+             "so3_left_jacobian_inverse": "phi", "so3_right_jacobian": "phi", "so3_right_jacobian_inverse": "phi",
+             "inverse": "T", "hat": "xi", "vee": "matrix", "curly_hat": "xi", "exp": "xi", "log": "T", "adjoint": "T",
+             "odot": "point", "left_jacobian": "xi", "left_jacobian_inverse": "xi", "right_jacobian": "xi",
+             "right_jacobian_inverse": "xi"}
+
+
+@pytest.mark.parametrize(("name", "argument"), ARGUMENTS.items())
+def test_a_wrong_shape_is_refused_by_the_name_of_the_argument(name, argument):
+    with pytest.raises(ValueError, match=rf"^{argument}\b"):
+        getattr(se3, name)(np.zeros(5))
