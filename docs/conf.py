@@ -20,6 +20,7 @@ SERIES, COPIES, PAGES = HERE.parent / "notebooks", HERE / "notebooks", HERE / "_
 
 project, author, release = "vislam_edu", "vislam_edu contributors", vislam_edu.__version__
 extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx-mathjax-offline"]
+(HERE / "_live").mkdir(exist_ok=True)  # Sphinx leaves out a folder that is not there when it begins
 html_theme, html_title = "furo", "vislam_edu: visual-inertial SLAM"
 html_static_path, html_css_files, html_extra_path = ["_static"], ["site.css"], ["_live"]
 exclude_patterns = ["_live"]
@@ -62,7 +63,6 @@ def frame(file, alt):
 
 def prepare(app):
     """Copy the notebooks: explorers live, every picture with the alternative text that its output carries."""
-    (HERE / "_live").mkdir(exist_ok=True)
     shutil.rmtree(COPIES, ignore_errors=True)
     shutil.copytree(SERIES / "images", COPIES / "images")
     wanted = None if app.config.live == "all" else app.config.live.split(",")
