@@ -411,7 +411,7 @@ TESTS = {test.name: test for test in (
         ("straight", "the three numbers of a drive without a corner"),
         ("half the rate", "the three numbers of a drive of which every other frame is missing"))),
     Test("by block", "NEES of rotation and position apart, and the heading's sigma", 1, by_block),
-    Test("residuals", "means of the residuals by row, and their correlation from frame to frame", 1, residuals),
+    Test("residuals", "residuals: mean by row, and from frame to frame", 1, residuals),
     Test("over seeds", "NEES over four drives", 2, over_seeds),
     Test("update", "one update against the formulas", 2, update_bench, True,
          (*_FILTER_JACOBIANS, "correction", "covariance after the update")),
