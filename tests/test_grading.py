@@ -144,7 +144,7 @@ def test_a_record_that_was_meddled_with_is_read_as_far_as_it_makes_sense(graded)
 @pytest.mark.parametrize("student", ["ends its parent", "ends itself", "takes memory bit by bit"])
 def test_who_ends_its_own_process_has_a_row_that_says_so(graded, student):
     entry = graded[0][student]
-    # As good: a MemoryError in the cell; a notebook that comes to its end before the grader sees that its parent is gone.
+    # As good: a MemoryError in the cell; a notebook that ends before the grader sees that its parent is gone.
     if student != "ends itself" and not entry["problem"]:
         assert statuses(entry) == {"so3_hat": RIGHT}
     else:
