@@ -2,8 +2,8 @@
 
     python benchmarks/against.py [COMMIT] [--recording 03.npz] [--turns 3]
 
-Each turn is a process of its own, imports and figures included; of each version the least is told, because even CPU
-seconds grow on a busy machine. The earlier version is checked out into a temporary folder.
+Each turn is a process of its own, imports and figures included; of each version the smallest number is printed,
+because even CPU seconds grow on a busy machine. The earlier version is checked out into a temporary folder.
 """
 
 import argparse

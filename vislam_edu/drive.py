@@ -155,7 +155,7 @@ class Drive:
 
     @cached_property
     def true_world_T_imu(self) -> np.ndarray:
-        """(T, 4, 4) true IMU poses, NaN where there is none; the world is the IMU frame at frame 0.
+        """(T, 4, 4) true IMU poses, NaN in frames whose pose is unknown; the world is the IMU frame at frame 0.
 
         Where frame 0 has no truth, the world is the IMU frame at the first frame that has.
         Raises DriveError where no true pose is known; `has_truth` asks.

@@ -13,7 +13,7 @@ import numpy as np
 from ..noise import Noise
 from . import cures, imu_alignment, visual_odometry
 
-LEAST_PX = 1e-3  # no pixel is perfect, and where there is none nothing was measured
+LEAST_PX = 1e-3  # real pixels always have some noise
 
 
 @dataclass(frozen=True, eq=False)

@@ -376,7 +376,7 @@ def _parting(where, mine, package, tolerance) -> Parting | None:
 def compare(name: str, function: Callable):
     """A figure of the first matrix in which a stage is not the package's, its first wrong entry framed.
 
-    Where there is none to draw, prints why and returns None.
+    Prints why and returns None where nothing can be compared.
     """
     found = first_parting(name, function)
     if isinstance(found, str):

@@ -123,7 +123,7 @@ def _expected(path, cells, checked) -> list[str]:
 
 
 def _run(path, scratch, limit, sandbox, hidden, stop) -> str:
-    """Run a notebook, wait for it and end all that it has started. Returns the problem, "" if there is none."""
+    """Run a notebook, wait for it and end all that it has started. Returns the problem, "" if it ran to its end."""
     record, token = scratch / "verdicts.jsonl", scratch.name
     own = {VERDICTS: str(record), "IPYTHONDIR": str(scratch), "OPENBLAS_NUM_THREADS": "1",
            "MPLBACKEND": "module://matplotlib_inline.backend_inline"}

@@ -102,7 +102,7 @@ def wrong_entries(came: np.ndarray, should: np.ndarray, tolerance: float) -> np.
 
 
 def _where(pairs, tolerance) -> str:
-    """The block, rows, columns or diagonal outside of which all is right, in words; "" where there is none."""
+    """In words, the block, rows, columns or diagonal that holds every wrong entry; "" if no such part is found."""
     if pairs[0][1].ndim == 0 or len({b.ndim for _, b in pairs}) > 1:
         return ""
     masks = [wrong_entries(a, b, tolerance) for a, b in pairs]

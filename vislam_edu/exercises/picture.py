@@ -40,7 +40,7 @@ class Picture:
 
 
 def picture_of(exercise, came: list, should: list) -> Picture | None:
-    """The picture of the first wrong result that has one; None where there is none."""
+    """The picture of the first wrong result that can be drawn; None if no result can."""
     for name, a, b in zip(exercise.outputs or ("the result",), came, should):
         if a.shape == b.shape and np.isfinite(a).all() and np.isfinite(b).all() and \
                 wrong_entries(a, b, exercise.tolerance).any() and _way_to_draw(a, b):
@@ -61,23 +61,23 @@ def _is_covariance(P) -> bool:
 
 
 @styled
+def _curves(picture, points, line, labels, title):
+    """The right result and the student's as lines. points : function of a result that gives the points (n, 2)."""
+    figure, axes = drawing.new_figure()
+    for result, label, colour in ((picture.should, "right", _RIGHT), (picture.came, "yours", _YOURS)):
+        axes.plot(*points(result).T, line, label=label, color=colour)
+    axes.set(xlabel=labels[0], ylabel=labels[1], aspect="equal")
+    axes.set_adjustable("datalim")
+    return drawing.finish(figure, f"{picture.name}: {title}")
+
+
 def _paths(picture):
-    figure, axes = drawing.new_figure()
-    for poses, label, colour in ((picture.should, "right", _RIGHT), (picture.came, "yours", _YOURS)):
-        axes.plot(*poses[:, :2, 3].T, "o-", label=label, color=colour)
-    axes.set(xlabel="x (m)", ylabel="y (m)", aspect="equal")
-    axes.set_adjustable("datalim")
-    return drawing.finish(figure, f"{picture.name}: positions from above")
+    return _curves(picture, lambda poses: poses[:, :2, 3], "o-", ("x (m)", "y (m)"), "positions from above")
 
 
-@styled
 def _ellipses(picture):
-    figure, axes = drawing.new_figure()
-    for P, label, colour in ((picture.should, "right", _RIGHT), (picture.came, "yours", _YOURS)):
-        axes.plot(*ellipse_points(np.zeros(2), P[:2, :2]).T, label=label, color=colour)
-    axes.set(xlabel="first variable", ylabel="second variable", aspect="equal")
-    axes.set_adjustable("datalim")
-    return drawing.finish(figure, f"{picture.name}: 95 % ellipses of its first two variables")
+    return _curves(picture, lambda P: ellipse_points(np.zeros(2), P[:2, :2]), "-",
+                   ("first variable", "second variable"), "95 % ellipses of its first two variables")
 
 
 @styled
