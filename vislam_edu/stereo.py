@@ -108,6 +108,21 @@ def triangulate_bearings(z1: ArrayLike, z2: ArrayLike, R: ArrayLike, p: ArrayLik
     return np.where(ok[..., None], depth1[..., None] * z1, PLACEHOLDER), ok
 
 
+def second_order(predicted: np.ndarray, explained: np.ndarray) -> np.ndarray:
+    """How far the mean of the pixels lies from the pixels of the mean, for an uncertain point: tr(h'' C) / 2.
+
+    predicted (..., 4), px: the pixels of the mean. explained (..., 3, 3), px^2: the covariance of [u_left, v, u_right]
+    that the uncertainty C of the point makes, to first order. Returns (..., 4), px.
+
+    For u_left the term is f / z^2 (x / z C_zz - C_xz), C in the camera frame. To first order the depth changes by
+    -z / d per pixel of disparity d, so for every row it is the row's covariance with the disparity, divided by d.
+    Source: Bar-Shalom, Li, Kirubarajan, section 10.3.2 (the second-order EKF's predicted measurement).
+    """
+    disparity = predicted[..., 0] - predicted[..., 2]
+    with_disparity = explained[..., 0, :] - explained[..., 2, :]
+    return with_disparity[..., FOUR_FROM_THREE] / disparity[..., None]
+
+
 @dataclass(frozen=True, eq=False)
 class StereoCamera:
     """A rectified stereo pair and where it sits on the body.
@@ -213,23 +228,6 @@ class StereoCamera:
         s = se3.transform(se3.inverse(world_T_imu), landmarks)
         J = self.projection_jacobian(se3.transform(self.cam_T_imu, s)) @ self.cam_T_imu
         return -J @ se3.odot(s)
-
-    def second_order(self, points_cam: np.ndarray, explained: np.ndarray) -> np.ndarray:
-        """How far the mean of the pixels lies from the pixels of the mean, for an uncertain point: tr(h'' C) / 2.
-
-        points_cam (..., 3), m, in the camera frame: the mean. explained (..., 3, 3), px^2: the covariance of
-        [u_left, v, u_right] that the uncertainty of the point makes, to first order, which fixes the covariance C
-        of the point in the camera frame. Returns (..., 4), px; for u_left it is f / z^2 (x / z C_zz - C_xz).
-        Source: Bar-Shalom, Li, Kirubarajan, section 10.3.2 (the second-order EKF's predicted measurement).
-        """
-        q, _ = _homogeneous(points_cam)
-        to_point = np.linalg.inv((self.K_s @ dpi_dq(q))[..., ROWS, :3])
-        C = to_point @ explained @ to_point.mT
-        x, y, z = np.moveaxis(q[..., :3], -1, 0)
-        beside = np.stack([x, y, x - self.baseline, y], axis=-1)
-        C_iz = C[..., [0, 1, 0, 1], 2]
-        f = self.K[[0, 1, 0, 1], [0, 1, 0, 1]]
-        return f / z[..., None] ** 2 * (beside / z[..., None] * C[..., 2:, 2] - C_iz)
 
     # Pixels to points
 

@@ -8,10 +8,9 @@ the landmarks that are out of sight. Source: report section 3.3.2, corrected.
 import numpy as np
 from scipy.linalg import block_diag
 
-from .. import ekf_slam, kalman, se3, window_slam
+from .. import ekf_slam, kalman, se3, stereo, window_slam
 from ..noise import Noise
 from ..simulate import first_steps
-from ..stereo import StereoCamera
 from . import inputs
 from .exercise import exercise
 
@@ -440,7 +439,7 @@ def _curved(f, baseline, point, C, half=1.0, cross=-1.0):
     return half * f / z**2 * (beside / z * C[2, 2] + cross * C[[0, 1, 0, 1], 2])
 
 
-@exercise(chapter=13, cases=uncertain_points, shows=[StereoCamera.second_order], hints=[
+@exercise(chapter=13, cases=uncertain_points, shows=[stereo.second_order], hints=[
     """One coordinate is u = f x / z. Write its three second derivatives by (x, z); the one by x twice is zero. Then
     half the trace of h'' C is two terms.""",
     "u_left: f / z^2 * (x / z * C_zz - C_xz). The right camera has x - baseline in place of x, v has y."])
