@@ -1,9 +1,9 @@
 """Exercises of notebook 06: is the claimed uncertainty true?"""
 
 import numpy as np
-from scipy.stats import chi2, norm
+from scipy.special import ndtri
 
-from .. import metrics
+from .. import kalman, metrics
 from ..noise import Noise
 from .exercise import exercise
 from .inputs import random_covariance
@@ -106,6 +106,8 @@ def _(errors, covariances):
 
 
 def bands(rng):
+    import scipy.stats  # noqa: F401 - for the plain answer; here, because other chapters need not wait half a second
+
     yield "one run", (6, 1, 0.95)
     yield "random", (6, 50, 0.95)
     yield "rotation only", (3, 20, 0.99)
@@ -146,12 +148,12 @@ def _(dof, runs, probability):
 measured): leave
 half of the tail below.""")
 def _(dof, runs, probability):
-    return 0.0, chi2.ppf(probability, dof * runs) / runs
+    return 0.0, kalman.chi_square_quantile(probability, dof * runs) / runs
 
 
 @chi2_band.mistake("normal approximation", """dof +- z sqrt(2 dof / N) is what the band tends to for many runs;
 for few it
 is lopsided. Use the chi-square quantiles.""")
 def _(dof, runs, probability):
-    half = norm.ppf((1 + probability) / 2) * np.sqrt(2 * dof / runs)
+    half = ndtri((1 + probability) / 2) * np.sqrt(2 * dof / runs)
     return dof - half, dof + half

@@ -12,6 +12,7 @@
 The decorated function is the reference; its signature and docstring become the stub that the student fills in.
 """
 
+import functools
 import inspect
 import textwrap
 from collections.abc import Callable
@@ -74,7 +75,7 @@ class Exercise:
     def name(self) -> str:
         return self.reference.__name__
 
-    @property
+    @functools.cached_property
     def arguments(self) -> list[str]:
         return list(inspect.signature(self.reference).parameters)
 

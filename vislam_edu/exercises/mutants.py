@@ -89,7 +89,7 @@ class _Change:
 
 def _changed(tree, *changes) -> Callable:
     """The function with these changes; the tree itself stays as it is."""
-    old = [change.swap(ast.fix_missing_locations(change.new)) for change in changes]
+    old = [change.swap(change.new) for change in changes]
     try:
         scope = dict(vars(plain))
         exec(compile(tree, "<changed>", "exec"), scope)
@@ -118,7 +118,8 @@ def _changes(tree) -> list[_Change]:
                     changes = _of_expression(node, parent, names)
                 else:
                     continue
-                found += [_Change(parent, field, index, *change) for change in changes]
+                found += [_Change(parent, field, index, kind, words, ast.fix_missing_locations(new))
+                          for kind, words, new in changes]
     return found
 
 

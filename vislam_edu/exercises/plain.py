@@ -5,7 +5,6 @@ turns the right answer into a student's. So a line does one thing, and nothing i
 """
 
 import numpy as np
-from scipy.stats import chi2
 
 from .. import kalman, se3, stereo
 
@@ -305,6 +304,8 @@ def nees(errors, covariances):
 
 
 def chi2_band(dof, runs, probability):
+    from scipy.stats import chi2
+
     tail = (1 - probability) / 2
     low = chi2.ppf(tail, dof * runs) / runs
     high = chi2.ppf(1 - tail, dof * runs) / runs

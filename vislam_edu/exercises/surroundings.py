@@ -13,7 +13,6 @@ from collections.abc import Iterator
 
 import numpy as np
 import scipy.linalg
-import scipy.stats
 
 _OUTPUT = 2000  # characters that an answer may print in one check
 _MEMORY = 4 * 2**30  # bytes that an answer may take
