@@ -8,6 +8,7 @@ import pytest
 from joblib import Parallel, delayed
 from numerical import central_difference
 from scipy.stats import binom
+from whole import WHOLE
 
 from vislam_edu import association, batch, kalman, metrics, se3, simulate, window_slam
 from vislam_edu.error_state import RightInvariant, RightPerturbation
@@ -15,7 +16,7 @@ from vislam_edu.motion import Belief
 from vislam_edu.noise import Noise
 from vislam_edu.widgets.branches import BranchesPicture
 
-SEEDS = range(12)
+SEEDS = range(20 if WHOLE else 12)
 NOISE = Noise(1.0, 0.1, 0.7 * 2**0.5)  # what `returning_loop` adds
 ERROR_STATES = [RightPerturbation(), RightInvariant()]
 
@@ -239,7 +240,8 @@ def no_overlap(seed):
 
 
 def test_nothing_is_fused_where_no_place_is_seen_again():
-    assert Parallel(2)(delayed(no_overlap)(seed) for seed in range(4)) == [0] * 4
+    seeds = range(6 if WHOLE else 4)
+    assert Parallel(2)(delayed(no_overlap)(seed) for seed in seeds) == [0] * len(seeds)
 
 
 def test_the_batch_estimate_with_merged_places_corrects_the_past():

@@ -4,7 +4,6 @@ VISLAM_EDU_WHOLE=1 takes the whole of both, which is a matter of minutes; otherw
 """
 
 import dataclasses
-import os
 import statistics
 import time
 from collections import Counter
@@ -12,6 +11,7 @@ from collections import Counter
 import numpy as np
 import pytest
 from blind_answers import read
+from whole import WHOLE
 
 from vislam_edu import se3
 from vislam_edu.exercises import EXERCISES, explain, plain, surroundings
@@ -19,7 +19,7 @@ from vislam_edu.exercises.mutants import mutants
 from vislam_edu.exercises.verdict import NOT_WRITTEN, RIGHT, WRONG, judge
 
 BLIND = read()
-EVERY = 1 if os.environ.get("VISLAM_EDU_WHOLE") else 6
+EVERY = 1 if WHOLE else 6
 
 
 @pytest.fixture

@@ -16,6 +16,7 @@ from pathlib import Path
 import nbformat
 import pytest
 from browser import NO_CHROMIUM, POLLING, SCREENSHOTS, SECOND, STATE, expect, free_port, listen, wait_for, wait_until
+from whole import WHOLE
 
 from vislam_edu.cli.notebooks import WIDGET_VIEW
 
@@ -99,7 +100,7 @@ def copy_notebooks(folder):
         notebook = nbformat.read(path, as_version=4)
         moving = [i for i, cell in enumerate(notebook.cells) for output in cell.get("outputs", [])
                   if WIDGET_VIEW in output.get("data", {})]
-        if moving and not os.environ.get("VISLAM_EDU_WHOLE"):
+        if moving and not WHOLE:
             notebook.cells = notebook.cells[:moving[-1] + 1]
         for cell in notebook.cells:
             if cell.cell_type == "code":
