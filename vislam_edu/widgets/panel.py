@@ -105,9 +105,14 @@ class Panel(ipywidgets.VBox):
         return f"{type(self).__name__}({self.picture.name})"
 
     def _repr_mimebundle_(self, **kwargs):
-        """The live widget, and the still picture for where there is no kernel."""
+        """The live widget, and the still picture for where there is no kernel.
+
+        The metadata are also those of a control: with them Colab loads what it is made of, which no box asks for.
+        """
         bundle = super()._repr_mimebundle_(**kwargs)
         data, metadata = self.picture.still(**self.state)._repr_mimebundle_()
+        for control in self.controls.values():
+            metadata |= control._repr_mimebundle_()[1]
         return {**(bundle or {}), "image/png": data["image/png"]}, metadata
 
 
