@@ -855,8 +855,8 @@ function plotArea(ctx, look, history, area, range, unit, axis = true) {
     ctx.beginPath();
     ctx.moveTo(area.x, y); ctx.lineTo(area.x + area.w, y);
     ctx.stroke();
-    if (y < area.y + 4 || (!axis && y > area.y + area.h - 4)) continue; // there stands what is drawn, here or below
-    label(ctx, `${short(v)}${unit ? ` ${unit}` : ""}`, area.x - 4, y, look.ink, look.paper, "right");
+    const inside = Math.min(Math.max(y, area.y + 5), area.y + area.h - (axis ? 0 : 4)); // clear of what is written above and below
+    label(ctx, `${short(v)}${unit ? ` ${unit}` : ""}`, area.x - 4, inside, look.ink, look.paper, "right");
   }
   ctx.textBaseline = "alphabetic";
   if (axis) {
