@@ -117,6 +117,10 @@ def test_an_examination_from_hand_out_to_grade(tmp_path, capsys):
                         "kind": [FAULTS[name].kind], "evidence": [FAULTS[name].seen_by[0]]}
     (out / "case_ann.json").write_text(json.dumps(ann))
     (out / "case_zoe.json").write_text("[]")
+    capsys.readouterr()
+    assert cli.main(["clinic", "hand-out", "--key", str(key), "--students", "ann", "--out", str(out)]) == 0
+    assert "left as it is" in capsys.readouterr().out
+    assert json.loads((out / "case_ann.json").read_text()) == ann  # answers are not lost to a second hand-out
     assert cli.main(["clinic", "grade", "--key", str(key), "--answers", str(out), "--out", str(tmp_path)]) == 0
     rows = list(csv.DictReader((tmp_path / "clinic.csv").open()))
     assert [row["file"] for row in rows] == ["case_ann.json", "case_bob.json", "case_zoe.json"]
@@ -124,6 +128,28 @@ def test_an_examination_from_hand_out_to_grade(tmp_path, capsys):
     assert rows[1]["problem"] == "not answered"
     assert "not a case file" in rows[2]["problem"]
     assert json.loads((tmp_path / "clinic.json").read_text())[0]["truth"] == [[FAULTS[name].piece, FAULTS[name].kind]]
+
+
+@pytest.mark.parametrize("content", [
+    b"", b"\xff\xfe", b"[" * 100_000, b"{}", b"7", b'{"student": [1], "level": 2, "cases": [{"number": 1}]}',
+    b'{"student": "a", "level": 9, "cases": [{"number": 1, "ordered": ["\x1b[31m"], "piece": [], "kind": []}]}',
+    b'{"student": "a", "level": 1, "cases": [{"number": 1, "ordered": ["\\u001b[31m"], "piece": [], "kind": []}]}',
+    b'{"student": "a", "level": 1, "cases": [{"number": NaN, "ordered": 3, "piece": [], "kind": []}, 5]}',
+    b'{"student": "a", "level": [], "cases": {"number": -1}}', None])
+def test_any_bytes_handed_in_are_one_row_or_more_and_cost_the_others_nothing(content, tmp_path, capsys):
+    (tmp_path / "k").write_text("secret\n")
+    answers = tmp_path / "answers"
+    answers.mkdir()
+    blank = {"number": 1, "ordered": [], "piece": [], "kind": [], "evidence": []}
+    (answers / "b.json").write_text(json.dumps({"student": "b", "level": 1, "cases": [blank]}))
+    (answers / "a.json").mkdir() if content is None else (answers / "a.json").write_bytes(content)
+    assert cli.main(["clinic", "grade", "--key", str(tmp_path / "k"), "--answers", str(answers),
+                     "--out", str(tmp_path)]) == 0
+    rows = list(csv.DictReader((tmp_path / "clinic.csv").open()))
+    assert rows[-1]["problem"] == "not answered"
+    assert {row["file"] for row in rows} == {"a.json", "b.json"}
+    assert all(row["problem"] for row in rows)
+    assert "\x1b" not in capsys.readouterr().out
 
 
 def test_an_examination_needs_students_and_a_key(tmp_path, capsys):

@@ -11,8 +11,8 @@ Every function gives what the plain equation beside it gives; only zeros are lef
 """
 
 import numpy as np
-from scipy.linalg import cholesky
 from scipy.linalg.blas import dtrsm, dtrsv
+from scipy.linalg.lapack import dpotrf
 
 CHUNK = 32  # measurements absorbed at a time: few enough for small matrices, enough to keep products efficient
 
@@ -54,11 +54,13 @@ def absorb(P: np.ndarray, rows: np.ndarray, H_landmark: np.ndarray, H_pose: np.n
         part = slice(start, start + CHUNK)
         H = rows[part], H_landmark[part], H_pose[part], n
         HP = times_H(P, *H)                                                         # H P
-        S = times_H(np.ascontiguousarray(HP.T), *H)                                 # H P H^T
+        S = times_H(HP.T, *H)                                                       # H P H^T
         S.reshape(-1)[::len(S) + 1] += variance[part].ravel()                       # + V
         r = residual[part].ravel() - times_H(delta[:, None], *H)[:, 0]              # r - H delta
         # LAPACK and BLAS count by columns: S^T is S, and (HP)^T becomes Y^T = (HP)^T L^-T, both in place
-        L = cholesky(S.T, lower=True, overwrite_a=True, check_finite=False)         # S = L L^T
+        L, failed = dpotrf(S.T, lower=1, overwrite_a=1)                             # S = L L^T
+        if failed:
+            raise np.linalg.LinAlgError("an innovation covariance is not positive definite")
         Y = dtrsm(1.0, L, HP.T, side=1, lower=1, trans_a=1, overwrite_b=1).T        # Y = L^-1 H P
         delta += Y.T @ dtrsv(L, r, lower=1)                                         # delta + K r
         P -= Y.T @ Y                                                                # P - K S K^T

@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterator
 import numpy as np
 from scipy.linalg import block_diag
 
-from . import kalman, se3
+from . import kalman, se3, stereo
 from .drive import Drive
 from .kalman import Belief, Innovation, Step
 from .noise import Noise
@@ -67,7 +67,7 @@ def update(prior: Belief, ids: np.ndarray, pixels: np.ndarray, camera: StereoCam
     H = joint_jacobian(camera.landmark_jacobian(T, seen), camera.pose_jacobian(T, seen), rows, n)
     S = kalman.innovation_covariance(prior.covariance, H.reshape(m, 4, 3 * n + 6), V)
     predicted, in_front = camera.observe(T, seen)
-    predicted = predicted + camera.second_order(camera.to_cam(T, seen), (S - V)[:, :3, :3])
+    predicted = predicted + stereo.second_order(predicted, (S - V)[:, :3, :3])
     nis = np.where(in_front, kalman.nis(pixels - predicted, S), np.inf)
     good = in_front & (nis <= threshold)
     posterior = joint_update(T, prior.landmarks, prior.covariance, H[np.repeat(good, 4)],

@@ -24,7 +24,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
-from . import se3
+from . import se3, validation
 from .se3 import checked
 
 PLACEHOLDER = np.array([0.0, 0.0, 1.0])
@@ -108,6 +108,21 @@ def triangulate_bearings(z1: ArrayLike, z2: ArrayLike, R: ArrayLike, p: ArrayLik
     return np.where(ok[..., None], depth1[..., None] * z1, PLACEHOLDER), ok
 
 
+def second_order(predicted: np.ndarray, explained: np.ndarray) -> np.ndarray:
+    """How far the mean of the pixels lies from the pixels of the mean, for an uncertain point: tr(h'' C) / 2.
+
+    predicted (..., 4), px: the pixels of the mean. explained (..., 3, 3), px^2: the covariance of [u_left, v, u_right]
+    that the uncertainty C of the point makes, to first order. Returns (..., 4), px.
+
+    For u_left the term is f / z^2 (x / z C_zz - C_xz), C in the camera frame. To first order the depth changes by
+    -z / d per pixel of disparity d, so for every row it is the row's covariance with the disparity, divided by d.
+    Source: Bar-Shalom, Li, Kirubarajan, section 10.3.2 (the second-order EKF's predicted measurement).
+    """
+    disparity = predicted[..., 0] - predicted[..., 2]
+    with_disparity = explained[..., 0, :] - explained[..., 2, :]
+    return with_disparity[..., FOUR_FROM_THREE] / disparity[..., None]
+
+
 @dataclass(frozen=True, eq=False)
 class StereoCamera:
     """A rectified stereo pair and where it sits on the body.
@@ -126,10 +141,10 @@ class StereoCamera:
     def __post_init__(self) -> None:
         K, cam_T_imu = _read_only(self.K, "K"), _read_only(self.cam_T_imu, "cam_T_imu")
         baseline = _read_only(self.baseline, "baseline")
-        _check_calibration(K)
+        validation.check_calibration(K)
         if not (baseline.size == 1 and np.isfinite(baseline).all() and (baseline > 0.0).all()):
             raise ValueError(f"baseline must be one positive length in metres, got {self.baseline}")
-        _check_pose(cam_T_imu, "cam_T_imu")
+        validation.check_extrinsics(cam_T_imu)
         for field, value in (("K", K), ("baseline", baseline.item()), ("cam_T_imu", cam_T_imu)):
             object.__setattr__(self, field, value)
 
@@ -214,23 +229,6 @@ class StereoCamera:
         J = self.projection_jacobian(se3.transform(self.cam_T_imu, s)) @ self.cam_T_imu
         return -J @ se3.odot(s)
 
-    def second_order(self, points_cam: np.ndarray, explained: np.ndarray) -> np.ndarray:
-        """How far the mean of the pixels lies from the pixels of the mean, for an uncertain point: tr(h'' C) / 2.
-
-        points_cam (..., 3), m, in the camera frame: the mean. explained (..., 3, 3), px^2: the covariance of
-        [u_left, v, u_right] that the uncertainty of the point makes, to first order, which fixes the covariance C
-        of the point in the camera frame. Returns (..., 4), px; for u_left it is f / z^2 (x / z C_zz - C_xz).
-        Source: Bar-Shalom, Li, Kirubarajan, section 10.3.2 (the second-order EKF's predicted measurement).
-        """
-        q, _ = _homogeneous(points_cam)
-        to_point = np.linalg.inv((self.K_s @ dpi_dq(q))[..., ROWS, :3])
-        C = to_point @ explained @ to_point.mT
-        x, y, z = np.moveaxis(q[..., :3], -1, 0)
-        beside = np.stack([x, y, x - self.baseline, y], axis=-1)
-        C_iz = C[..., [0, 1, 0, 1], 2]
-        f = self.K[[0, 1, 0, 1], [0, 1, 0, 1]]
-        return f / z[..., None] ** 2 * (beside / z[..., None] * C[..., 2:, 2] - C_iz)
-
     # Pixels to points
 
     def triangulate(self, pixels: np.ndarray, min_disparity: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
@@ -285,31 +283,3 @@ def _read_only(value: ArrayLike, name: str) -> np.ndarray:
         raise ValueError(f"{name} must be an array of numbers: {error}") from error
     array.setflags(write=False)
     return array
-
-
-def _check_calibration(K: np.ndarray) -> None:
-    if K.shape != (3, 3):
-        raise ValueError(f"K must have shape (3, 3), got {K.shape}")
-    fu, fv = K[0, 0], K[1, 1]
-    pattern = np.array([[fu, 0.0, K[0, 2]], [0.0, fv, K[1, 2]], [0.0, 0.0, 1.0]])
-    if not (np.isfinite(K).all() and fu > 0.0 and fv > 0.0 and np.array_equal(K, pattern)):
-        raise ValueError(
-            "K must be [[f_u, 0, c_u], [0, f_v, c_v], [0, 0, 1]] with positive focal lengths, "
-            f"got {K.tolist()}"
-        )
-
-
-def _check_pose(T: np.ndarray, name: str) -> None:
-    if T.shape != (4, 4):
-        raise ValueError(f"{name} must have shape (4, 4), got {T.shape}")
-    if not np.isfinite(T).all():
-        raise ValueError(f"{name} must be finite, got {T.tolist()}")
-    if not np.array_equal(T[3], [0.0, 0.0, 0.0, 1.0]):
-        raise ValueError(f"{name} must end with the row [0, 0, 0, 1], got {T[3].tolist()}: is it transposed?")
-    R = T[:3, :3]
-    with np.errstate(over="ignore", invalid="ignore"):
-        off = np.abs(R.T @ R - np.eye(3)).max()
-    if not off <= 1e-5:
-        raise ValueError(f"{name} must hold a rotation; it is off orthonormal by {off:.1e} (1e-5 allowed)")
-    if np.linalg.det(R) < 0.0:
-        raise ValueError(f"{name} must hold a rotation, but mirrors (determinant -1): one axis is flipped")

@@ -93,7 +93,7 @@ def compute_innovation(prior: Belief, ids: np.ndarray, pixels: np.ndarray,
     H, points = linearise(prior, ids, settings)
     explained = blockwise.diagonal_blocks(prior.covariance, *H.blocks(len(prior.ids)))
     predicted, in_front = settings.camera.project(points)
-    predicted = predicted + settings.camera.second_order(points, explained)
+    predicted = predicted + stereo.second_order(predicted, explained)
     S = explained[:, stereo.FOUR_FROM_THREE][:, :, stereo.FOUR_FROM_THREE] + settings.noise.pixel_covariance
     nis = np.where(in_front, kalman.nis(pixels - predicted, S), np.inf)
     return Innovation(ids, pixels, predicted, S, nis, in_front & (nis <= settings.threshold)), H

@@ -145,7 +145,7 @@ class Report:
     @style.styled
     def figure(self):
         """A matplotlib Figure: gyro against cameras, timing, tracks in view with copy frames, disparities."""
-        figure = style.Figure(figsize=(plots.WIDTH, 8))
+        figure = style.Figure(figsize=(plots.WIDTH, 8), layout="constrained")
         since_start = self.drive.times - self.drive.times[0]
         axes = figure.subplots(3, 2)
         for i, ax in enumerate(axes[:, 0]):

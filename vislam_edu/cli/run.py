@@ -80,11 +80,18 @@ def prepare(arguments):
     return drive.subsample(arguments.every), noise_from(arguments, base), options
 
 
+def _on_all_cores():
+    """Context in which the runs of `--calibration` share the cores; joblib is imported for it alone."""
+    import joblib
+
+    return joblib.parallel_config(n_jobs=-1)
+
+
 def run(arguments):
     """Run the filters and write their results; returns the exit status."""
+    from contextlib import nullcontext
     from functools import partial
 
-    import joblib
     from numpy.linalg import LinAlgError
     from tqdm import tqdm
 
@@ -103,7 +110,7 @@ def run(arguments):
         options["process_frame"] = window_slam.as_report
     with outputs.appearing_in(arguments.out) as folder:
         try:
-            with joblib.parallel_config(n_jobs=-1):
+            with _on_all_cores() if arguments.calibration else nullcontext():
                 result = pipeline.run_pipeline(
                     drive, noise, RightInvariant() if invariant else RightPerturbation(), method=method,
                     gate=arguments.gate, min_disparity=arguments.min_disparity,

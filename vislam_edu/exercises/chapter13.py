@@ -8,10 +8,9 @@ the landmarks that are out of sight. Source: report section 3.3.2, corrected.
 import numpy as np
 from scipy.linalg import block_diag
 
-from .. import ekf_slam, kalman, se3, window_slam
+from .. import ekf_slam, kalman, se3, stereo, window_slam
 from ..noise import Noise
 from ..simulate import first_steps
-from ..stereo import StereoCamera
 from . import inputs
 from .exercise import exercise
 
@@ -91,8 +90,8 @@ def filter_predict(world_T_imu, covariance, twist, tau, noise):
     return _predicted(world_T_imu, covariance, twist, tau, noise)
 
 
-@filter_predict.mistake("cross-covariances not propagated", """Only the pose block was carried along: P_LR becomes
-P_LR F^T, P_RL its transpose.""")
+@filter_predict.mistake("cross-covariances not propagated", """Only the pose block was carried along: P_LR becomes P_LR
+F^T, P_RL its transpose.""")
 def _(world_T_imu, covariance, twist, tau, noise):
     return _predicted(world_T_imu, covariance, twist, tau, noise, cross=False)
 
@@ -200,8 +199,8 @@ def _(world_T_imu, landmarks, covariance, rows, pixels, camera, noise):
                     retract=lambda T, m, d, e: (T @ se3.exp(e), m))
 
 
-@filter_update.mistake("only the seen landmarks corrected", """The others are correlated with the pose and move
-too: this is what the joint covariance is for.""")
+@filter_update.mistake("only the seen landmarks corrected", """The others are correlated with the pose and move too:
+this is what the joint covariance is for.""")
 def _(world_T_imu, landmarks, covariance, rows, pixels, camera, noise):
     def retract(T, m, d, e):
         moved = m.copy()
@@ -276,8 +275,8 @@ def _(world_T_imu, landmarks, covariance, pixels, camera, noise):
     return np.vstack([landmarks, landmark]), P
 
 
-@filter_birth.mistake("prior 2 I", """The report's 2 I says neither how well the point was triangulated nor how well
-the pose is known.""")
+@filter_birth.mistake("prior 2 I", """The report's 2 I says neither how well the point was triangulated nor how well the
+pose is known.""")
 def _(world_T_imu, landmarks, covariance, pixels, camera, noise):
     n = landmarks.size
     point = se3.transform(world_T_imu @ camera.imu_T_cam, camera.triangulate(pixels)[0])
@@ -440,7 +439,7 @@ def _curved(f, baseline, point, C, half=1.0, cross=-1.0):
     return half * f / z**2 * (beside / z * C[2, 2] + cross * C[[0, 1, 0, 1], 2])
 
 
-@exercise(chapter=13, cases=uncertain_points, shows=[StereoCamera.second_order], hints=[
+@exercise(chapter=13, cases=uncertain_points, shows=[stereo.second_order], hints=[
     """One coordinate is u = f x / z. Write its three second derivatives by (x, z); the one by x twice is zero. Then
     half the trace of h'' C is two terms.""",
     "u_left: f / z^2 * (x / z * C_zz - C_xz). The right camera has x - baseline in place of x, v has y."])
@@ -468,8 +467,8 @@ def _(f, baseline, point, covariance):
     return _curved(f, 0.0, point, covariance)
 
 
-@curved_mean.mistake("depth alone", """h'' has entries beside the diagonal too, and x and z are
-correlated, because a landmark is uncertain along its ray.""")
+@curved_mean.mistake("depth alone", """h'' has entries beside the diagonal too, and x and z are correlated, because a
+landmark is uncertain along its ray.""")
 def _(f, baseline, point, covariance):
     return _curved(f, baseline, point, covariance, cross=0.0)
 

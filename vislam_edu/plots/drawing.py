@@ -111,7 +111,6 @@ def new_map(view):
 def new_figure(height=3.0):
     """Figure of the series' width and its one axes, in the series' style. height : inches, of the axes."""
     figure = style.Figure(figsize=(WIDTH, height))
-    figure.set_layout_engine("none")
     return figure, figure.add_axes((_AXES_LEFT / WIDTH, 0, _AXES_WIDTH / WIDTH, 1))
 
 

@@ -24,7 +24,7 @@ def before_and_after(truth, before, after):
     """
     sizes = [np.sqrt(np.trace(estimate.covariance, axis1=1, axis2=2)) for estimate in (before, after)]
     ratio = sizes[1] / sizes[0]
-    figure = style.Figure(figsize=(drawing.WIDTH, 5.2))
+    figure = style.Figure(figsize=(drawing.WIDTH, 5.2), layout="constrained")
     estimates = (("measured", before, "o", "before"), ("smoother", after, "D", "after the backward pass"))
     for axes, j in zip(figure.subplots(2, 3).ravel(), np.argsort(ratio)[:6]):
         axes.plot(0, 0, "+", color=style.COLOURS["truth"], ms=11, mew=1.8, zorder=4, label="true landmark")

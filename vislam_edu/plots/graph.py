@@ -8,7 +8,7 @@ from . import drawing, style
 def _panels(n, height=2.4, **looks):
     """A figure with n axes side by side, and the list of them. height : inches, of the axes."""
     with style.context():
-        figure = style.Figure(figsize=(drawing.WIDTH, height + 0.8))
+        figure = style.Figure(figsize=(drawing.WIDTH, height + 0.8), layout="constrained")
         return figure, list(np.atleast_1d(figure.subplots(1, n, **looks)))
 
 

@@ -93,7 +93,6 @@ _RC: dict[Any, Any] = {
     "figure.dpi": 100,
     "savefig.dpi": 100,
     "figure.figsize": (7.5, 4.5),
-    "figure.constrained_layout.use": True,
     "font.size": 10,
     "axes.titlesize": 11,
     "axes.titlelocation": "left",

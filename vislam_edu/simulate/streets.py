@@ -6,7 +6,6 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.integrate import cumulative_trapezoid
 from scipy.spatial.transform import Rotation
 
 from .. import se3
@@ -86,6 +85,8 @@ def drive_along(rng, times, speed, loop_length, hills, lane_change=0.0):
     road, so that all six degrees of freedom move. It starts along x. Raises ValueError when the loop is too short for
     its corners.
     """
+    from scipy.integrate import cumulative_trapezoid  # here: who plants faults need not wait for scipy.integrate
+
     s = np.arange(0, loop_length, 0.05)
     s = np.append(s, loop_length)
     heading, curvature = Streets(loop_length).heading(s)

@@ -15,7 +15,6 @@ found once more, and the outer product of what has moved is added,
 Source: Bierman, Factorization methods for discrete sequential estimation, 1977, chapter 8 (consider covariance).
 """
 
-import joblib
 import numpy as np
 
 from .. import se3
@@ -62,6 +61,8 @@ def covariance(drive, world_T_imu, find_path, progress=lambda runs, **_: runs):
     drive : Drive. world_T_imu : (T, 4, 4), what `find_path(drive)` gives; it is called once more for each of `LENS_PX`,
     in as many processes as `joblib.parallel_config` says. progress : called as `progress(runs, total=, desc=)`.
     """
+    import joblib  # here: `run` needs it for nothing else
+
     ways = [moved(world_T_imu, turned(world_T_imu, gauge)) for gauge in GAUGES]
     jobs = (joblib.delayed(find_path)(faults.lens_error(drive, **{knob: px})) for knob, px in LENS_PX.items())
     paths = joblib.Parallel(return_as="generator")(jobs)

@@ -20,6 +20,7 @@ from scipy import stats
 
 from ..kalman import Step
 from ..plots import style
+from ..recordings.files import shown
 from . import clinic_tests
 from .clinic_tests import TESTS, Readings, bands, read
 from .patients import FAULTS, HEALTHY, KINDS, PIECES, SEAMS, Build, Drawn, draw, stream
@@ -210,7 +211,7 @@ def grade(student: int | str, answered: Mapping[str, Any], level: int, key: str)
             return {"total": 0.0, "problem": "not answered"}
         score = patient.answer(tuple(answered["piece"]), tuple(answered["kind"]), tuple(answered["evidence"]))
     except (ValueError, KeyError, TypeError) as error:
-        return {"total": 0.0, "problem": " ".join(str(error).split())}
+        return {"total": 0.0, "problem": shown(error)}
     parts = ("piece", "kind", "evidence", "cure", "thrift")
     return {"total": round(score.total, 3)} | {part: round(getattr(score, part), 3) for part in parts} \
         | {"truth": list(map(list, score.truth)), "remarks": list(score.remarks), "problem": ""}

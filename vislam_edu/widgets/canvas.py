@@ -111,7 +111,6 @@ class Picture:
         self._background = None
         with style.context():
             self.figure = Figure(figsize=self.size, dpi=DPI)
-            self.figure.set_layout_engine("none")
             self.canvas = FigureCanvasAgg(self.figure)
             self.build()
 

@@ -35,7 +35,7 @@ def gallery(visits, drive, columns=4) -> Figure:
     """
     rows = -(-len(visits) // columns)
     with style.context():
-        figure = Figure(figsize=(plots.WIDTH, 2.1 * rows))
+        figure = Figure(figsize=(plots.WIDTH, 2.1 * rows), layout="constrained")
         axes = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
         x0, x1, y0, y1 = view(drive)
         for place, visit in zip(axes.flat, visits):
