@@ -92,7 +92,7 @@ def test_live_picture_is_sharp_on_a_screen_of_two_pixels_a_point_and_the_still_i
     live, still = pixels(panel.image.value), pixels(panel.picture.still(height=1.0).png)
     assert live.shape[:2] == (200, 400)
     assert still.shape[:2] == (100, 200)
-    assert panel.image.layout.width == "200px"
+    assert [part.layout.width for part in panel.children] == ["200px"] * 3  # controls, picture, caption
     panel.controls["height"].value = 2.0    # the still has not left its resolution behind
     assert pixels(panel.image.value).shape == live.shape
 
