@@ -196,8 +196,9 @@ class Picture:
 
 
 def unfiltered_png(image: Image.Image) -> bytes:
-    """PNG file of an RGB image, for a picture that lives for one frame: Pillow tries five filters on each line of pixels
-    to make the file small, and takes three times as long.
+    """PNG file of an RGB image, for a picture that lives for one frame.
+
+    Pillow tries five filters on each line of pixels to make the file small, and takes three times as long.
 
     Source: W3C, Portable Network Graphics specification, sections 5.3 (chunks), 7.2 (a filter byte before each line).
     """
@@ -209,5 +210,5 @@ def unfiltered_png(image: Image.Image) -> bytes:
         return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
 
     header = struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)  # 8 bits a channel, RGB
-    return (b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", zlib.compress(lines, 1))
+    return (b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", zlib.compress(lines.tobytes(), 1))
             + chunk(b"IEND", b""))
