@@ -3,13 +3,17 @@
 import csv
 import json
 from dataclasses import replace
+from itertools import islice
 
+import numpy as np
 import pytest
 
 from vislam_edu import cli
+from vislam_edu.stereo import StereoCamera
 from vislam_edu.studies import clinic, clinic_tests, patients
 from vislam_edu.studies.clinic_tests import TESTS, bands, read
 from vislam_edu.studies.patients import FAULTS, HEALTHY, Build
+from vislam_edu.widgets import Explorer
 
 # --- healthy and sick ---------------------------------------------------------------------------------------------
 
@@ -62,6 +66,22 @@ def test_a_patient_is_drawn_by_a_keyed_hash_and_shows_no_fault():
     patient = clinic.Patient(5, 1, 3, "secret")
     shown = " ".join([repr(patient), str({key: value for key, value in vars(patient).items() if not callable(value)})])
     assert not any(f"'{name}'" in shown for name in FAULTS if name not in (*patients.PIECES, *TESTS))
+
+
+def test_the_explorer_steps_a_patient_for_a_price_and_its_recording_does_not_say_what_was_planted():
+    for number in range(1, 9):
+        patient = clinic.Patient(7, number, 3)
+        budget = patient.budget
+        assert len(Explorer(islice(patient.steps(), 3), patient.recording).histories[0].snapshots) == 6
+        assert patient.budget == budget - 1
+        assert patient.recording.history == ()
+        assert type(patient.recording.camera) is StereoCamera
+    watched = clinic.Patient(1, 2, 1)  # cross terms never written: after a few frames only blocks are left
+    covariance = list(islice(watched.steps(), 4))[-1].posterior.covariance
+    n = len(covariance) // 3
+    blocks = covariance.reshape(n, 3, n, 3).swapaxes(1, 2)
+    assert not np.any(blocks[:-2, :-2][~np.eye(n - 2, dtype=bool)])
+    assert not np.any(blocks[:-2, -2:])
 
 
 def test_the_first_three_patients_are_those_that_the_chapter_teaches():

@@ -61,7 +61,7 @@ class Score:
 
 
 class Patient:
-    """One patient: order tests, read the sheet, answer once.
+    """One patient: order tests, read the sheet, answer once. recording : its `Drive`, right or wrong.
 
     student : number or name. number : of the patient, from 1. level : 1 one fault, six suspects; 2 healthy is possible,
     a smaller budget; 3 also two faults, and recordings. key : secret of an examination, "" for practice.
@@ -91,6 +91,8 @@ class Patient:
             return f"order {' or '.join(map(repr, seen_by))}" if seen_by else "three tests without a finding say much"
 
         self._examine, self._judge, self._steps, self._hint = examine, judge, steps, hint
+        # Without its history, which says what was planted.
+        self.recording = drawn.build.recording(clinic_tests.base_drive(drawn.seed)).replace(history=())
 
     def order(self, *names: str) -> None:
         """Order tests, by their names in `TESTS`. Raises BudgetError when too little is left, ValueError for a name."""
@@ -102,7 +104,7 @@ class Patient:
                 self.readings[name] = self._examine(name)
 
     def steps(self) -> Iterable[Step]:
-        """The patient's steps over its drive, for the explorer; costs 1."""
+        """The filter's `Step`s over its recording, for `Explorer(patient.steps(), patient.recording)`; costs 1."""
         self._pay(1, "the steps of a drive")
         return self._steps()
 
