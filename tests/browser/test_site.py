@@ -54,6 +54,13 @@ def test_the_first_page_shows_an_explorer_that_the_keyboard_steps(page, site):
     page.wait_for_function("before => document.querySelector('iframe').contentDocument"
                            ".querySelector('input[type=range]').value !== before", arg=before)
     assert "environment.txt" in page.locator("pre").first.inner_text()
+    for width in (1300, 700):  # in a narrow page its parts stand in other lines; the frame is as high as they are
+        page.set_viewport_size({"width": width, "height": 950})
+        page.wait_for_function("""() => {
+            const frame = document.querySelector('iframe');
+            const room = frame.clientHeight - frame.contentDocument.body.offsetHeight;
+            return room >= 0 && room < 80;
+        }""")
 
 
 def test_every_chapter_is_one_click_away_and_its_mathematics_is_set(page, site):
