@@ -23,6 +23,7 @@ extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx-mathjax-offline"]
 (HERE / "_live").mkdir(exist_ok=True)  # Sphinx leaves out a folder that is not there when it begins
 html_theme, html_title = "furo", "vislam_edu: visual-inertial SLAM"
 html_static_path, html_css_files, html_extra_path = ["_static"], ["site.css"], ["_live"]
+html_js_files = [("site.js", {"defer": "defer"})]
 exclude_patterns = ["_live"]
 nb_execution_mode = "off"
 nb_mime_priority_overrides = [("html", "text/html", 1), ("html", "image/png", 2)]  # not the empty view of a widget

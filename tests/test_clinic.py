@@ -3,13 +3,17 @@
 import csv
 import json
 from dataclasses import replace
+from itertools import islice
 
+import numpy as np
 import pytest
 
 from vislam_edu import cli
+from vislam_edu.stereo import StereoCamera
 from vislam_edu.studies import clinic, clinic_tests, patients
 from vislam_edu.studies.clinic_tests import TESTS, bands, read
 from vislam_edu.studies.patients import FAULTS, HEALTHY, Build
+from vislam_edu.widgets import Explorer
 
 # --- healthy and sick ---------------------------------------------------------------------------------------------
 
@@ -62,6 +66,22 @@ def test_a_patient_is_drawn_by_a_keyed_hash_and_shows_no_fault():
     patient = clinic.Patient(5, 1, 3, "secret")
     shown = " ".join([repr(patient), str({key: value for key, value in vars(patient).items() if not callable(value)})])
     assert not any(f"'{name}'" in shown for name in FAULTS if name not in (*patients.PIECES, *TESTS))
+
+
+def test_the_explorer_steps_a_patient_for_a_price_and_its_recording_does_not_say_what_was_planted():
+    for number in range(1, 9):
+        patient = clinic.Patient(7, number, 3)
+        budget = patient.budget
+        assert len(Explorer(islice(patient.steps(), 3), patient.recording).histories[0].snapshots) == 6
+        assert patient.budget == budget - 1
+        assert patient.recording.history == ()
+        assert type(patient.recording.camera) is StereoCamera
+    watched = clinic.Patient(1, 2, 1)  # cross terms never written: after a few frames only blocks are left
+    covariance = list(islice(watched.steps(), 4))[-1].posterior.covariance
+    n = len(covariance) // 3
+    blocks = covariance.reshape(n, 3, n, 3).swapaxes(1, 2)
+    assert not np.any(blocks[:-2, :-2][~np.eye(n - 2, dtype=bool)])
+    assert not np.any(blocks[:-2, -2:])
 
 
 def test_the_first_three_patients_are_those_that_the_chapter_teaches():
@@ -117,6 +137,10 @@ def test_an_examination_from_hand_out_to_grade(tmp_path, capsys):
                         "kind": [FAULTS[name].kind], "evidence": [FAULTS[name].seen_by[0]]}
     (out / "case_ann.json").write_text(json.dumps(ann))
     (out / "case_zoe.json").write_text("[]")
+    capsys.readouterr()
+    assert cli.main(["clinic", "hand-out", "--key", str(key), "--students", "ann", "--out", str(out)]) == 0
+    assert "left as it is" in capsys.readouterr().out
+    assert json.loads((out / "case_ann.json").read_text()) == ann  # answers are not lost to a second hand-out
     assert cli.main(["clinic", "grade", "--key", str(key), "--answers", str(out), "--out", str(tmp_path)]) == 0
     rows = list(csv.DictReader((tmp_path / "clinic.csv").open()))
     assert [row["file"] for row in rows] == ["case_ann.json", "case_bob.json", "case_zoe.json"]
@@ -124,6 +148,28 @@ def test_an_examination_from_hand_out_to_grade(tmp_path, capsys):
     assert rows[1]["problem"] == "not answered"
     assert "not a case file" in rows[2]["problem"]
     assert json.loads((tmp_path / "clinic.json").read_text())[0]["truth"] == [[FAULTS[name].piece, FAULTS[name].kind]]
+
+
+@pytest.mark.parametrize("content", [
+    b"", b"\xff\xfe", b"[" * 100_000, b"{}", b"7", b'{"student": [1], "level": 2, "cases": [{"number": 1}]}',
+    b'{"student": "a", "level": 9, "cases": [{"number": 1, "ordered": ["\x1b[31m"], "piece": [], "kind": []}]}',
+    b'{"student": "a", "level": 1, "cases": [{"number": 1, "ordered": ["\\u001b[31m"], "piece": [], "kind": []}]}',
+    b'{"student": "a", "level": 1, "cases": [{"number": NaN, "ordered": 3, "piece": [], "kind": []}, 5]}',
+    b'{"student": "a", "level": [], "cases": {"number": -1}}', None])
+def test_any_bytes_handed_in_are_one_row_or_more_and_cost_the_others_nothing(content, tmp_path, capsys):
+    (tmp_path / "k").write_text("secret\n")
+    answers = tmp_path / "answers"
+    answers.mkdir()
+    blank = {"number": 1, "ordered": [], "piece": [], "kind": [], "evidence": []}
+    (answers / "b.json").write_text(json.dumps({"student": "b", "level": 1, "cases": [blank]}))
+    (answers / "a.json").mkdir() if content is None else (answers / "a.json").write_bytes(content)
+    assert cli.main(["clinic", "grade", "--key", str(tmp_path / "k"), "--answers", str(answers),
+                     "--out", str(tmp_path)]) == 0
+    rows = list(csv.DictReader((tmp_path / "clinic.csv").open()))
+    assert rows[-1]["problem"] == "not answered"
+    assert {row["file"] for row in rows} == {"a.json", "b.json"}
+    assert all(row["problem"] for row in rows)
+    assert "\x1b" not in capsys.readouterr().out
 
 
 def test_an_examination_needs_students_and_a_key(tmp_path, capsys):

@@ -205,18 +205,3 @@ def test_a_wrong_baseline_scales_every_depth(perfect):
     points, wrong_points = (camera.triangulate(perfect.pixels)[0] for camera in (perfect.camera, wrong))
     np.testing.assert_allclose(wrong_points, 1.01 * points)
 
-
-def test_looming_slip_walks_by_the_zoom(perfect):
-    """The first look is right; one step's slip has the variance asked for, more where the image grows."""
-    slip = faults.looming_slip(perfect, slip_of_zoom=2.0, slip_floor=0.1, seed=1).pixels - perfect.pixels
-    order = np.lexsort((perfect.frame, perfect.landmark))
-    landmark, frame = perfect.landmark[order], perfect.frame[order]
-    first = np.diff(landmark, prepend=-1) != 0
-    assert np.abs(slip[order][first]).max() < 1e-9
-    poses = perfect.truth_world_T_cam[frame]
-    depth = np.einsum("nj,nj->n", poses[:, :3, 2], perfect.truth_landmarks[landmark] - poses[:, :3, 3])
-    sigma2 = 0.1**2 + 2.0**2 * np.abs(np.diff(np.log(depth)))
-    step = np.diff(slip[order], axis=0)[~first[1:]]
-    squared = step[:, [0, 2]] ** 2 / sigma2[~first[1:], None]
-    assert squared.mean() == pytest.approx(1, abs=4 * (2 / squared.size) ** 0.5)
-    np.testing.assert_allclose(step[:, 1], step[:, 3], atol=1e-9)

@@ -1,9 +1,13 @@
 """What the museum's pictures show, read back from their artists."""
 
+from dataclasses import replace
+from itertools import pairwise
+
 import numpy as np
 import picture_checks
 import pytest
 from matplotlib.colors import to_hex
+from matplotlib.text import Text
 
 from vislam_edu import simulate
 from vislam_edu.error_state import RightPerturbation
@@ -98,6 +102,17 @@ def test_gallery_has_a_map_for_each_and_counts_who_is_lost(visits, drive):
 
 def test_gallery_is_large_enough_to_read(visits, drive):
     picture_checks.is_large_enough(gallery(visits, drive))
+
+
+def test_titles_of_the_gallery_do_not_run_into_each_other(visits, drive):
+    """With the longest title there is in every map."""
+    longest = max((piece.title for piece in PIECES.values()), key=len)
+    figure = gallery([replace(visits[1], title=longest)] * 8, drive)
+    figure.draw_without_rendering()
+    titles = [text.get_window_extent() for axes in figure.axes[:4] for text in axes.findobj(Text)
+              if "NIS" in text.get_text()]
+    assert len(titles) == 4
+    assert all(left.x1 < right.x0 for left, right in pairwise(titles))
 
 
 def test_view_is_a_square_around_the_true_path(drive):

@@ -2,14 +2,18 @@
 
 import base64
 import io
+import sys
+from types import ModuleType, SimpleNamespace
 
 import numpy as np
 import pytest
 from PIL import Image
 from traitlets import TraitError
 
+from vislam_edu import simulate
+from vislam_edu.noise import Noise
 from vislam_edu.plots import style
-from vislam_edu.widgets import UNSEEN, Panel
+from vislam_edu.widgets import UNSEEN, Panel, WhatIf
 from vislam_edu.widgets.canvas import Choice, Decades, Number, Picture, Switch
 from vislam_edu.widgets.panel import Control
 
@@ -88,7 +92,7 @@ def test_live_picture_is_sharp_on_a_screen_of_two_pixels_a_point_and_the_still_i
     live, still = pixels(panel.image.value), pixels(panel.picture.still(height=1.0).png)
     assert live.shape[:2] == (200, 400)
     assert still.shape[:2] == (100, 200)
-    assert panel.image.layout.width == "200px"
+    assert [part.layout.width for part in panel.children] == ["200px"] * 3  # controls, picture, caption
     panel.controls["height"].value = 2.0    # the still has not left its resolution behind
     assert pixels(panel.image.value).shape == live.shape
 
@@ -111,6 +115,24 @@ def test_representation_is_fixed_and_holds_a_still_picture():
     assert "application/vnd.jupyter.widget-view+json" in data
     assert base64.b64decode(data["image/png"]) == panel.picture.still(height=2.0).png
     assert metadata["image/png"]["alt"] == "a line 2.0 m high"
+
+
+@pytest.mark.parametrize("make", [
+    lambda drive: Panel(Bar()), lambda drive: WhatIf(drive, Noise()), lambda drive: WhatIf(drive, Noise()).explorer,
+], ids=["panel", "what if", "explorer"])
+def test_what_colab_is_sent_names_the_manager_that_loads_anywidget(make, monkeypatch):
+    """Colab loads no widget but ipywidgets' own unless the metadata of what is shown name a manager for the others.
+
+    Its module is a stand-in with the two names that anywidget uses.
+    """
+    output = ModuleType("google.colab.output")
+    output.enable_custom_widget_manager = lambda: None
+    output._widgets = SimpleNamespace(_installed_url="manager.js")
+    monkeypatch.setitem(sys.modules, "google.colab.output", output)
+    _, metadata = make(simulate.first_steps().slice(0, 3))._repr_mimebundle_()
+    manager = {"colab": {"custom_widget_manager": {"url": "manager.js"}}}
+    assert metadata["application/vnd.jupyter.widget-view+json"] == manager
+    assert metadata["image/png"]["alt"]
 
 
 def test_a_control_tells_the_browser_its_label_kind_and_range():

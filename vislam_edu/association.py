@@ -7,12 +7,11 @@ A tracker that comes back to a place gives it a new number, so the map holds the
 be follows from the joint covariance: m_i - m_j has the mean 0 and the covariance S_ij = P_ii + P_jj - P_ij - P_ji. Each
 of several pairs can pass its own gate and all of them together still be impossible, because the error of the pose moves
 all new landmarks alike; so pairs are judged together. Pairs that are accepted become a measurement without noise,
-m_new - m_old = 0, of the
-whole joint state. The old row then leaves the map; the landmark keeps the new number, which the tracker goes on using.
+m_new - m_old = 0, of the whole joint state. The old row then leaves the map; the landmark keeps the new number, which
+the tracker goes on using.
 
-Sources: Neira, Tardós, Data association in stochastic mapping using the joint compatibility test, 2001; Bell,
-Cathey, The
-iterated Kalman filter update as a Gauss-Newton method, 1993.
+Sources: Neira, Tardós, Data association in stochastic mapping using the joint compatibility test, 2001; Bell, Cathey,
+The iterated Kalman filter update as a Gauss-Newton method, 1993.
 """
 
 from __future__ import annotations
@@ -37,9 +36,7 @@ def in_the_world(belief: Belief, rows: np.ndarray, error_state: ErrorState) -> n
     """A (3n, d) with m - m_hat = A (error of the state) for the n landmarks at `rows`, metres in the world."""
     A = np.zeros((len(rows), 3, len(belief.covariance)))
     A[np.arange(len(rows))[:, None], np.arange(3), 3 * rows[:, None] + np.arange(3)] = 1
-    C = error_state.world_landmark(belief.landmarks[rows])
-    if C is not None:
-        A[:, :, belief.pose] = C
+    A[:, :, belief.pose] = error_state.world_landmark(belief.landmarks[rows])
     return A.reshape(3 * len(rows), -1)
 
 

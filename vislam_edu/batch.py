@@ -381,9 +381,8 @@ def iterate(problem: Problem, estimate: Estimate | None = None, damping: float =
     """Levenberg-Marquardt: yields the start, then every step that lowered the cost.
 
     A step that raises the cost, or a matrix that is not positive definite, makes lambda ten times larger and is tried
-    again; a good step makes it ten times smaller. Ends when a step lowers the cost by less than `tolerance`: the
-    cost is
-    a chi-square, so 1 is what an error of one standard deviation costs, whatever the number of measurements.
+    again; a good step makes it ten times smaller. Ends when a step lowers the cost by less than `tolerance`: the cost
+    is a chi-square, so 1 is what an error of one standard deviation costs, whatever the number of measurements.
     Source: Marquardt, An algorithm for least-squares estimation of nonlinear parameters, 1963.
     """
     estimate = start(problem) if estimate is None else estimate

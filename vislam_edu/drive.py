@@ -67,6 +67,8 @@ class Drive:
         for field in ("frame_start", "landmark"):
             self._freeze(field, int)
         object.__setattr__(self, "history", tuple(self.history))
+        if not isinstance(self.camera, StereoCamera):
+            raise DriveError(f"camera: {type(self.camera).__name__}, expected a StereoCamera")
         validation.check_imu(self)
         validation.check_observations(self)
         validation.check_truth(self)

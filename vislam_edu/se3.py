@@ -23,9 +23,7 @@ from math import factorial
 import numpy as np
 from numpy.typing import ArrayLike
 
-# --------------------------------------------------------------------------------------------------
-# Functions of the rotation angle
-# --------------------------------------------------------------------------------------------------
+# --- Functions of the rotation angle ---
 
 _SERIES_BELOW = 4.0  # rad^2, squared angle: at 2 rad series and closed forms agree to 1e-15
 _ORDERS = np.arange(15)
@@ -70,9 +68,7 @@ def checked(value: ArrayLike, shape: tuple[int, ...], name: str) -> np.ndarray:
     return value
 
 
-# --------------------------------------------------------------------------------------------------
-# SO(3)
-# --------------------------------------------------------------------------------------------------
+# --- SO(3) ---
 
 def so3_hat(omega: ArrayLike) -> np.ndarray:
     """Skew-symmetric matrix: `so3_hat(a) @ b == cross(a, b)`. omega (..., 3); returns (..., 3, 3)."""
@@ -155,14 +151,7 @@ def so3_right_jacobian(phi: ArrayLike) -> np.ndarray:
     return so3_left_jacobian(-checked(phi, (3,), "phi"))
 
 
-def so3_right_jacobian_inverse(phi: ArrayLike) -> np.ndarray:
-    """Inverse of `so3_right_jacobian`. phi (..., 3), rad; returns (..., 3, 3)."""
-    return so3_left_jacobian_inverse(-checked(phi, (3,), "phi"))
-
-
-# --------------------------------------------------------------------------------------------------
-# SE(3)
-# --------------------------------------------------------------------------------------------------
+# --- SE(3) ---
 
 def pose(R: ArrayLike, p: ArrayLike) -> np.ndarray:
     """The pose `[[R, p], [0, 1]]`. R (..., 3, 3), p (..., 3), m, which broadcast; returns (..., 4, 4)."""

@@ -24,7 +24,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
-from . import se3
+from . import se3, validation
 from .se3 import checked
 
 PLACEHOLDER = np.array([0.0, 0.0, 1.0])
@@ -141,10 +141,10 @@ class StereoCamera:
     def __post_init__(self) -> None:
         K, cam_T_imu = _read_only(self.K, "K"), _read_only(self.cam_T_imu, "cam_T_imu")
         baseline = _read_only(self.baseline, "baseline")
-        _check_calibration(K)
+        validation.check_calibration(K)
         if not (baseline.size == 1 and np.isfinite(baseline).all() and (baseline > 0.0).all()):
             raise ValueError(f"baseline must be one positive length in metres, got {self.baseline}")
-        _check_pose(cam_T_imu, "cam_T_imu")
+        validation.check_extrinsics(cam_T_imu)
         for field, value in (("K", K), ("baseline", baseline.item()), ("cam_T_imu", cam_T_imu)):
             object.__setattr__(self, field, value)
 
@@ -283,31 +283,3 @@ def _read_only(value: ArrayLike, name: str) -> np.ndarray:
         raise ValueError(f"{name} must be an array of numbers: {error}") from error
     array.setflags(write=False)
     return array
-
-
-def _check_calibration(K: np.ndarray) -> None:
-    if K.shape != (3, 3):
-        raise ValueError(f"K must have shape (3, 3), got {K.shape}")
-    fu, fv = K[0, 0], K[1, 1]
-    pattern = np.array([[fu, 0.0, K[0, 2]], [0.0, fv, K[1, 2]], [0.0, 0.0, 1.0]])
-    if not (np.isfinite(K).all() and fu > 0.0 and fv > 0.0 and np.array_equal(K, pattern)):
-        raise ValueError(
-            "K must be [[f_u, 0, c_u], [0, f_v, c_v], [0, 0, 1]] with positive focal lengths, "
-            f"got {K.tolist()}"
-        )
-
-
-def _check_pose(T: np.ndarray, name: str) -> None:
-    if T.shape != (4, 4):
-        raise ValueError(f"{name} must have shape (4, 4), got {T.shape}")
-    if not np.isfinite(T).all():
-        raise ValueError(f"{name} must be finite, got {T.tolist()}")
-    if not np.array_equal(T[3], [0.0, 0.0, 0.0, 1.0]):
-        raise ValueError(f"{name} must end with the row [0, 0, 0, 1], got {T[3].tolist()}: is it transposed?")
-    R = T[:3, :3]
-    with np.errstate(over="ignore", invalid="ignore"):
-        off = np.abs(R.T @ R - np.eye(3)).max()
-    if not off <= 1e-5:
-        raise ValueError(f"{name} must hold a rotation; it is off orthonormal by {off:.1e} (1e-5 allowed)")
-    if np.linalg.det(R) < 0.0:
-        raise ValueError(f"{name} must hold a rotation, but mirrors (determinant -1): one axis is flipped")

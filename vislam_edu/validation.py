@@ -1,6 +1,7 @@
 """What a recording must be before it can be a `Drive`: each field's shape and values, and how the fields fit together.
 
-The checks run in their order here, as a `Drive` is made; a later one relies on what an earlier one has found right.
+The checks run in their order here, as a camera and then a `Drive` is made; a later one relies on what an earlier one
+has found right.
 """
 
 from __future__ import annotations
@@ -8,8 +9,6 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-
-from .stereo import StereoCamera
 
 if TYPE_CHECKING:
     from .drive import Drive
@@ -42,6 +41,36 @@ def _check_magnitude(name: str, value: np.ndarray | float) -> None:
         raise DriveError(f"{name}: {largest:.3g}, expected absolute values up to {LARGEST[name]:g}")
 
 
+def check_calibration(K: np.ndarray) -> None:
+    """K of a camera. Raises ValueError."""
+    if K.shape != (3, 3):
+        raise ValueError(f"K must have shape (3, 3), got {K.shape}")
+    fu, fv = K[0, 0], K[1, 1]
+    pattern = np.array([[fu, 0.0, K[0, 2]], [0.0, fv, K[1, 2]], [0.0, 0.0, 1.0]])
+    if not (np.isfinite(K).all() and fu > 0.0 and fv > 0.0 and np.array_equal(K, pattern)):
+        raise ValueError(
+            "K must be [[f_u, 0, c_u], [0, f_v, c_v], [0, 0, 1]] with positive focal lengths, "
+            f"got {K.tolist()}"
+        )
+
+
+def check_extrinsics(T: np.ndarray) -> None:
+    """cam_T_imu, a rigid motion. Raises ValueError."""
+    if T.shape != (4, 4):
+        raise ValueError(f"cam_T_imu must have shape (4, 4), got {T.shape}")
+    if not np.isfinite(T).all():
+        raise ValueError(f"cam_T_imu must be finite, got {T.tolist()}")
+    if not np.array_equal(T[3], [0.0, 0.0, 0.0, 1.0]):
+        raise ValueError(f"cam_T_imu must end with the row [0, 0, 0, 1], got {T[3].tolist()}: is it transposed?")
+    R = T[:3, :3]
+    with np.errstate(over="ignore", invalid="ignore"):
+        off = np.abs(R.T @ R - np.eye(3)).max()
+    if not off <= 1e-5:
+        raise ValueError(f"cam_T_imu must hold a rotation; it is off orthonormal by {off:.1e} (1e-5 allowed)")
+    if np.linalg.det(R) < 0.0:
+        raise ValueError("cam_T_imu must hold a rotation, but mirrors (determinant -1): one axis is flipped")
+
+
 def check_imu(drive: Drive) -> None:
     """Times, IMU samples and calibration. Raises DriveError."""
     times = drive.times
@@ -59,8 +88,6 @@ def check_imu(drive: Drive) -> None:
     _check_finite("twists", drive.twists)
     if drive.imu_sample not in ("k", "k+1", "mean"):
         raise DriveError(f"imu_sample: {drive.imu_sample!r}, expected 'k', 'k+1' or 'mean'")
-    if not isinstance(drive.camera, StereoCamera):
-        raise DriveError(f"camera: {type(drive.camera).__name__}, expected a StereoCamera")
     for name in ("times", "twists"):
         _check_magnitude(name, getattr(drive, name))
     for name in ("K", "baseline", "cam_T_imu"):

@@ -1,14 +1,10 @@
-"""The explorer in a real browser, in a page without a kernel and in Notebook 7: its numbers read back from the page."""
+"""The explorer in a real browser, in a page without a kernel: its numbers read back from the page."""
 
-import importlib.util
 import os
-import subprocess
-import sys
 
-import nbformat
 import numpy as np
 import pytest
-from browser import NO_CHROMIUM, POLLING, SCREENSHOTS, SECOND, STATE, free_port, listen, wait_for, wait_until
+from browser import NO_CHROMIUM, SCREENSHOTS, STATE, listen, wait_until
 
 from vislam_edu import mapping, odometry, simulate, window_slam
 from vislam_edu.error_state import RightInvariant
@@ -336,54 +332,3 @@ def test_in_a_window_of_800_px_nothing_is_cut_off(opened, name):
 
 def test_reduced_motion_begins_slowly(opened):
     assert opened("joint", reduced_motion="reduce").get_by_label("speed").input_value() == "1"
-
-
-# --- Notebook 7 ---
-
-
-@pytest.mark.skipif(importlib.util.find_spec("notebook") is None, reason="Notebook 7 is not installed")
-def test_notebook_7_leaves_it_the_arrow_keys_and_the_kernel_sends_it_another_run(chromium, tmp_path):
-    cell = nbformat.v4.new_code_cell(
-        "from vislam_edu import simulate\nfrom vislam_edu.noise import Noise\nfrom vislam_edu.widgets import WhatIf\n"
-        "WhatIf(simulate.first_steps().slice(0, 12), Noise(), start=10)")
-    notebook = nbformat.v4.new_notebook(cells=[cell, nbformat.v4.new_markdown_cell("below")], metadata={
-        "kernelspec": {"name": "python3", "display_name": "Python 3", "language": "python"}})
-    nbformat.write(notebook, tmp_path / "a.ipynb")
-    port, log = free_port(), tmp_path / "notebook.log"
-    folders = {f"JUPYTER_{name}_DIR": str(tmp_path / name) for name in ("CONFIG", "DATA", "RUNTIME")}
-    command = [sys.executable, "-m", "notebook", "--no-browser", "--allow-root", "--ip=127.0.0.1", f"--port={port}",
-               "--ServerApp.port_retries=0", f"--ServerApp.root_dir={tmp_path}", "--IdentityProvider.token="]
-    with log.open("w") as out, subprocess.Popen(command, env=os.environ | folders, stdout=out, stderr=out) as server:
-        try:
-            address = f"http://127.0.0.1:{port}"
-            wait_for(address, server, log)
-            page = chromium.new_page(viewport={"width": 1366, "height": 768})
-            listen(page, address)
-            page.goto(f"{address}/notebooks/a.ipynb")
-            page.wait_for_selector(".jp-CodeCell", timeout=60 * SECOND)
-            page.wait_for_timeout(2 * SECOND)
-            page.locator(".jp-CodeCell .cm-content").first.click()
-            page.keyboard.press("Shift+Enter")
-            page.wait_for_selector(".vx canvas", timeout=60 * SECOND)
-            explorer = page.locator(".vx")
-            page.wait_for_function("() => document.querySelector('.vx').explorer.state().map.length", polling=POLLING)
-            explorer.locator("input[type=range]").focus()
-            for _ in range(3):
-                page.keyboard.press("ArrowRight")
-            assert explorer.evaluate(STATE)["i"] == 13
-            explorer.get_by_role("img", name="map").first.focus()
-            for _ in range(2):
-                page.keyboard.press("ArrowUp")
-            assert explorer.evaluate(STATE)["i"] == 15
-            before = explorer.evaluate(STATE)["time"]["high"]
-            assert before[0] == before[1]
-            page.get_by_label("V ×").focus()
-            page.keyboard.press("End")
-            wait_until(page, lambda: explorer.evaluate(STATE)["time"]["high"][1] > 1.5 * before[1], "no other run came")
-            after = explorer.evaluate(STATE)
-            assert (after["i"], after["time"]["high"][0]) == (15, before[0])
-            SCREENSHOTS.mkdir(exist_ok=True)
-            page.screenshot(path=SCREENSHOTS / "notebook_7.png")
-            page.close()
-        finally:
-            server.terminate()

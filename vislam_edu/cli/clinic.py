@@ -1,10 +1,11 @@
 """`python -m vislam_edu clinic`: an examination handed out as case files and graded with a secret key."""
 
 import json
+import os
 import secrets
 from pathlib import Path
 
-from ..recordings.files import write_csv
+from ..recordings.files import shown, write_csv, write_text
 from .arguments import OptionError, whole
 
 
@@ -39,15 +40,17 @@ def _hand_out(arguments) -> int:
     if unsafe:
         raise OptionError(f"clinic hand-out: a student's name is made of letters, digits, - and _; got {unsafe[0]!r}")
     if not arguments.key.exists():
-        arguments.key.touch(mode=0o600)
-        arguments.key.write_text(secrets.token_hex(32) + "\n", encoding="utf-8")
+        with open(os.open(arguments.key, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w", encoding="utf-8") as file:
+            file.write(secrets.token_hex(32) + "\n")
         print(f"a new key was written to {arguments.key}: keep it from the students")
     key = _key(arguments.key)
     for student in arguments.students:
-        cases = [clinic.case(student, number, arguments.level, key) for number in range(1, arguments.patients + 1)]
         path = arguments.out / f"case_{student}.json"
-        path.write_text(json.dumps({"student": student, "level": arguments.level, "cases": cases}, indent=1) + "\n",
-                        encoding="utf-8")
+        if path.exists():
+            print(f"{path}: is there already and may hold answers, left as it is")
+            continue
+        cases = [clinic.case(student, number, arguments.level, key) for number in range(1, arguments.patients + 1)]
+        write_text(path, json.dumps({"student": student, "level": arguments.level, "cases": cases}, indent=1) + "\n")
         print(f"{len(cases)} patients for {student}: {path}")
     return 0
 
@@ -63,11 +66,11 @@ def _grade(arguments) -> int:
             content = json.loads(file.read_text(encoding="utf-8"))
             rows += [{"file": file.name, "student": str(content["student"]), "patient": case["number"]}
                      | clinic.grade(content["student"], case, content["level"], key) for case in content["cases"]]
-        except (ValueError, KeyError, TypeError, AttributeError) as error:
-            rows.append({"file": file.name, "problem": f"not a case file: {' '.join(str(error).split())}"})
+        except (ValueError, KeyError, TypeError, AttributeError, RecursionError, OSError) as error:
+            rows.append({"file": file.name, "problem": f"not a case file: {shown(error)}"})
     columns = ["file", "student", "patient", "total", "piece", "kind", "evidence", "cure", "thrift", "problem"]
     write_csv(arguments.out / "clinic.csv", columns, ([row.get(column, "") for column in columns] for row in rows))
-    (arguments.out / "clinic.json").write_text(json.dumps(rows, indent=2) + "\n", encoding="utf-8")
+    write_text(arguments.out / "clinic.json", json.dumps(rows, indent=2) + "\n")
     for row in rows:
         print(f"{row['file']:24} {row.get('patient', ''):>3} {row.get('total', ''):>6}  {row.get('problem', '')}")
     print(f"written to {arguments.out / 'clinic.csv'} and {arguments.out / 'clinic.json'}")

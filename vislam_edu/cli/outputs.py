@@ -31,11 +31,10 @@ def summary(result, smoothed=None) -> dict:
     With ground truth also nees_pose and inside_3_sigma, the mean over frames of the pose's NEES (6 is right) and the
     share of frames in which an axis lies inside 3 sigma, of the axis where it is least; with `--calibration` both again
     with that error in the covariance. Also position_rmse_m (the IMU's position, world = IMU frame at frame 0, no
-    alignment),
-    ate_m (after SE(3) alignment) and KITTI drift, of the left camera as in the benchmark, NaN for drives
+    alignment), ate_m (after SE(3) alignment) and KITTI drift, of the left camera as in the benchmark, NaN for drives
     under 100 m; those of dead reckoning carry its name. With a batch estimate its seconds, iterations and the same
-    errors, under its name. Last, as lists of sentences, changed (what was done
-    to the recording) and warnings (what speaks against the result).
+    errors, under its name. Last, as lists of sentences, changed (what was done to the recording) and warnings (what
+    speaks against the result).
     """
     drive, slam = result.drive, result.slam
     numbers = {

@@ -63,8 +63,8 @@ def _(omega):
     return np.array([[0, z, y], [z, 0, x], [y, x, 0]])
 
 
-@so3_hat.mistake("y without its sign change", """The y entries carry the opposite sign of the x and z entries on
-their side of the diagonal: first row is [0, -z, +y].""")
+@so3_hat.mistake("y without its sign change", """The y entries carry the opposite sign of the x and z entries on their
+side of the diagonal: first row is [0, -z, +y].""")
 def _(omega):
     return se3.so3_hat(omega * [1, -1, 1])
 
@@ -139,8 +139,7 @@ def _(phi):
     return np.exp(se3.so3_hat(phi))
 
 
-@so3_exp.mistake("series cut off", """I + S + S S / 2 is the series up to its second term: good for small
-angles only.""")
+@so3_exp.mistake("series cut off", "I + S + S S / 2 is the series up to its second term: good for small angles only.")
 def _(phi):
     S = se3.so3_hat(phi)
     return np.eye(3) + S + S @ S / 2
@@ -219,16 +218,16 @@ def adjoint(T):
     return se3.adjoint(T)
 
 
-@adjoint.mistake("twist order [omega, v]", """The block p^ R stands lower left only where a twist is [omega, v].
-Here it is [v, omega]: a rotation moves the translation, so p^ R stands upper right.""")
+@adjoint.mistake("twist order [omega, v]", """The block p^ R stands lower left only where a twist is [omega, v]. Here it
+is [v, omega]: a rotation moves the translation, so p^ R stands upper right.""")
 def _(T):
     A = se3.adjoint(T)
     A[3:, :3], A[:3, 3:] = A[:3, 3:].copy(), 0.0
     return A
 
 
-@adjoint.mistake("p^ R forgotten", """A turn about a frame b that is p away also moves the origin of frame a: the
-upper right block is p^ R, not zero.""")
+@adjoint.mistake("p^ R forgotten", """A turn about a frame b that is p away also moves the origin of frame a: the upper
+right block is p^ R, not zero.""")
 def _(T):
     return block_diag(T[:3, :3], T[:3, :3])
 
@@ -264,8 +263,8 @@ def left_jacobian(xi):
     return se3.left_jacobian(xi)
 
 
-@left_jacobian.mistake("I at zero rotation", """Zero rotation is not a zero twist: there the Jacobian is
-[[I, v^/2], [0, I]], because turning at the start of a straight path moves its end.""")
+@left_jacobian.mistake("I at zero rotation", """Zero rotation is not a zero twist: there the Jacobian is [[I, v^/2], [0,
+I]], because turning at the start of a straight path moves its end.""")
 def _(xi):
     return se3.left_jacobian(xi) if np.linalg.norm(xi[3:]) > 1e-6 else np.eye(6)
 
@@ -400,15 +399,14 @@ def _(covariance, twist, tau, Q):
     return _predicted(covariance, twist, tau, Q, B=tau**0.5 * se3.right_jacobian(tau * twist))
 
 
-@predict_covariance.mistake("the report's W", """The report adds tau^2 Q: it takes the right Jacobian for the
-identity. That is a few per cent off in a bend; here it is asked for exactly.""")
+@predict_covariance.mistake("the report's W", """The report adds tau^2 Q: it takes the right Jacobian for the identity.
+That is a few per cent off in a bend; here it is asked for exactly.""")
 def _(covariance, twist, tau, Q):
     return _predicted(covariance, twist, tau, Q, B=tau * np.eye(6))
 
 
-@predict_covariance.mistake("F of the wrong sign", """The error of the old pose is expressed in the old body frame;
-to reach
-the new one it goes back along the step: exp(-tau u^). With +tau it would go further away.""")
+@predict_covariance.mistake("F of the wrong sign", """The error of the old pose is expressed in the old body frame; to
+reach the new one it goes back along the step: exp(-tau u^). With +tau it would go further away.""")
 def _(covariance, twist, tau, Q):
     return _predicted(covariance, twist, tau, Q, F=se3.adjoint(se3.exp(tau * twist)))
 
@@ -470,8 +468,8 @@ def _(angle_random_walk, velocity_density, rate):
     return _W(velocity_density, np.radians(angle_random_walk) / 3600, 1 / rate)
 
 
-@datasheet_noise.mistake("density taken for sigma", """tau^2 density^2 takes the density for the sigma of one
-sample. That sigma is density times sqrt(rate): the faster the samples, the noisier each of them.""")
+@datasheet_noise.mistake("density taken for sigma", """tau^2 density^2 takes the density for the sigma of one sample.
+That sigma is density times sqrt(rate): the faster the samples, the noisier each of them.""")
 def _(angle_random_walk, velocity_density, rate):
     return _W(velocity_density, np.radians(angle_random_walk) / 60, 1 / rate**2)
 

@@ -40,14 +40,14 @@ def _(K, uv):
     return K @ np.append(uv, 1.0)
 
 
-@bearing.mistake("focal length forgotten", """Subtracting the principal point gives pixels from the centre; dividing
-by f_u and f_v turns them into a direction.""")
+@bearing.mistake("focal length forgotten", """Subtracting the principal point gives pixels from the centre; dividing by
+f_u and f_v turns them into a direction.""")
 def _(K, uv):
     return np.append(uv - K[:2, 2], 1.0)
 
 
-@bearing.mistake("scaled to length one", """A bearing here has depth one (third entry 1), so that depth times bearing
-is the point. Leave out the normalisation.""")
+@bearing.mistake("scaled to length one", """A bearing here has depth one (third entry 1), so that depth times bearing is
+the point. Leave out the normalisation.""")
 def _(K, uv):
     z = stereo.bearing(K, uv)
     return z / np.linalg.norm(z)
@@ -87,8 +87,8 @@ def triangulate_bearings(K, uv1, uv2, R, p):
     return stereo.triangulate_bearings(stereo.bearing(K, uv1), stereo.bearing(K, uv2), R, p)[0]
 
 
-@triangulate_bearings.mistake("pixels used as bearings", """The equations hold for bearings K^-1 [u, v, 1], not for
-[u, v, 1] itself. The report's section 3.2.1 makes this slip.""")
+@triangulate_bearings.mistake("pixels used as bearings", """The equations hold for bearings K^-1 [u, v, 1], not for [u,
+v, 1] itself. The report's section 3.2.1 makes this slip.""")
 def _(K, uv1, uv2, R, p):
     return _met(np.append(uv1, 1.0), np.append(uv2, 1.0), R, p)
 
@@ -105,15 +105,14 @@ def _(K, uv1, uv2, R, p):
     return _met(stereo.bearing(K, uv1), stereo.bearing(K, uv2), R, -p)
 
 
-@triangulate_bearings.mistake("expressed in camera 2", """This is the point in the frame of camera 2. Its depth
-along the
-first bearing, times that bearing, tells it in camera 1.""")
+@triangulate_bearings.mistake("expressed in camera 2", """This is the point in the frame of camera 2. Its depth along
+the first bearing, times that bearing, tells it in camera 1.""")
 def _(K, uv1, uv2, R, p):
     return R.T @ (_met(stereo.bearing(K, uv1), stereo.bearing(K, uv2), R, p) - p)
 
 
-@triangulate_bearings.mistake("first depth on the second bearing", """l1 is the depth along z1. Times z2 it is no
-point that anyone sees.""")
+@triangulate_bearings.mistake("first depth on the second bearing", """l1 is the depth along z1. Times z2 it is no point
+that anyone sees.""")
 def _(K, uv1, uv2, R, p):
     z1, z2 = stereo.bearing(K, uv1), stereo.bearing(K, uv2)
     return _met(z1, z2, R, p)[2] * z2
@@ -157,8 +156,8 @@ def triangulate(K, baseline, pixels):
     return StereoCamera(K, baseline, np.eye(4)).triangulate(pixels)
 
 
-@triangulate.mistake("disparity at or below zero triangulated", """Noise can bring the disparity of a far point to
-zero or below. Its depth would be infinite or behind the camera: ok must be False there.""")
+@triangulate.mistake("disparity at or below zero triangulated", """Noise can bring the disparity of a far point to zero
+or below. Its depth would be infinite or behind the camera: ok must be False there.""")
 def _(K, baseline, pixels):
     return _by_disparity(K, baseline, pixels, pixels[:, 0] - pixels[:, 2]), np.ones(len(pixels), bool)
 
@@ -169,8 +168,8 @@ def _(K, baseline, pixels):
     return _by_disparity(K, baseline, pixels, d), d >= 0
 
 
-@triangulate.mistake("negative disparity let through", """Where u_right lies to the right of u_left the point comes
-out behind the camera: d > 0, not d != 0.""")
+@triangulate.mistake("negative disparity let through", """Where u_right lies to the right of u_left the point comes out
+behind the camera: d > 0, not d != 0.""")
 def _(K, baseline, pixels):
     d = pixels[:, 0] - pixels[:, 2]
     return _by_disparity(K, baseline, pixels, d), d != 0
@@ -183,8 +182,8 @@ def _(K, baseline, pixels):
     return _by_disparity(K, baseline, pixels, d), d > 0
 
 
-@triangulate.mistake("disparity of the wrong sign", """Seen from the right camera everything moves left: d =
-u_left - u_right.""")
+@triangulate.mistake("disparity of the wrong sign", """Seen from the right camera everything moves left: d = u_left -
+u_right.""")
 def _(K, baseline, pixels):
     d = pixels[:, 2] - pixels[:, 0]
     return _by_disparity(K, baseline, pixels, d), d > 0
@@ -245,15 +244,15 @@ def _(K, baseline, point, sigma_px):
     return H.T @ H / sigma_px**2
 
 
-@triangulation_covariance.mistake("depth variance only", """d z / d disparity gives the variance along the axis alone;
-x and y move with the depth, and carry noise of their own.""")
+@triangulation_covariance.mistake("depth variance only", """d z / d disparity gives the variance along the axis alone; x
+and y move with the depth, and carry noise of their own.""")
 def _(K, baseline, point, sigma_px):
     slope = point[2]**2 / (K[0, 0] * baseline)
     return np.diag([0, 0, 2 * sigma_px**2 * slope**2])
 
 
-@triangulation_covariance.mistake("v_right left out", """All four numbers carry noise. With two measurements of v,
-y is known better than with one.""")
+@triangulation_covariance.mistake("v_right left out", """All four numbers carry noise. With two measurements of v, y is
+known better than with one.""")
 def _(K, baseline, point, sigma_px):
     H = _H(K, baseline, point)[:3]
     return sigma_px**2 * np.linalg.inv(H.T @ H)

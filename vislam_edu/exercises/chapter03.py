@@ -44,8 +44,8 @@ def _(camera, points_cam):
     return _homogeneous(points_cam / points_cam[:, 2:]) @ camera.K_s.T
 
 
-@project.mistake("right camera on the left", """The right camera sees everything further left: u_right = u_left -
-f_u b / z.""")
+@project.mistake("right camera on the left", """The right camera sees everything further left: u_right = u_left - f_u b
+/ z.""")
 def _(camera, points_cam):
     u, v, r, w = camera.project(points_cam)[0].T
     return np.stack([u, v, 2 * u - r, w], axis=-1)
@@ -86,8 +86,8 @@ def _(camera, point_cam):
     return point_cam[2] * camera.projection_jacobian(point_cam)
 
 
-@projection_jacobian.mistake("third column divided once", """The third column is divided by q_3 twice: d(q_1 / q_3) /
-d q_3 = -q_1 / q_3^2.""")
+@projection_jacobian.mistake("third column divided once", """The third column is divided by q_3 twice: d(q_1 / q_3) / d
+q_3 = -q_1 / q_3^2.""")
 def _(camera, point_cam):
     D = stereo.dpi_dq(np.append(point_cam, 1.0))
     D[:, 2] *= point_cam[2]
@@ -99,14 +99,14 @@ def _(camera, point_cam):
     return camera.projection_jacobian(point_cam) * [1, 1, -1, 1]
 
 
-@projection_jacobian.mistake("third column forgotten", """Moving a point away moves its pixels towards the centre:
-the derivative by q_3 is not zero.""")
+@projection_jacobian.mistake("third column forgotten", """Moving a point away moves its pixels towards the centre: the
+derivative by q_3 is not zero.""")
 def _(camera, point_cam):
     return camera.projection_jacobian(point_cam) * [1, 1, 0, 1]
 
 
-@projection_jacobian.mistake("third row not zero", """The third entry of q / q_3 is always 1: its derivative is zero,
-by q_3 too.""")
+@projection_jacobian.mistake("third row not zero", """The third entry of q / q_3 is always 1: its derivative is zero, by
+q_3 too.""")
 def _(camera, point_cam):
     D = stereo.dpi_dq(np.append(point_cam, 1.0))
     D[2, 2] = 1 / point_cam[2]
@@ -141,14 +141,14 @@ def _landmark_jacobian(camera, q, rotation):
     return camera.projection_jacobian(q)[:, :3] @ rotation
 
 
-@landmark_jacobian.mistake("extrinsics forgotten", """Between the IMU and the camera there is a rotation too:
-cam_T_imu belongs between K_s dpi/dq and R^T.""")
+@landmark_jacobian.mistake("extrinsics forgotten", """Between the IMU and the camera there is a rotation too: cam_T_imu
+belongs between K_s dpi/dq and R^T.""")
 def _(camera, world_T_imu, landmark):
     return _landmark_jacobian(camera, camera.to_cam(world_T_imu, landmark), world_T_imu[:3, :3].T)
 
 
-@landmark_jacobian.mistake("pose in place of its inverse", """Landmarks go from the world to the IMU: T^-1, so R^T.
-The report's section 3.2.2 writes T.""")
+@landmark_jacobian.mistake("pose in place of its inverse", """Landmarks go from the world to the IMU: T^-1, so R^T. The
+report's section 3.2.2 writes T.""")
 def _(camera, world_T_imu, landmark):
     return _landmark_jacobian(camera, camera.to_cam(world_T_imu, landmark),
                               camera.cam_T_imu[:3, :3] @ world_T_imu[:3, :3])
@@ -218,22 +218,21 @@ def _(covariance, H, V, residual):
     return K @ residual, (np.eye(len(covariance)) - K @ H) @ covariance
 
 
-@kalman_update.mistake("covariance of the wrong sign", """A measurement never makes you less sure: (I - K H) P,
-not (I + K H) P.""")
+@kalman_update.mistake("covariance of the wrong sign", """A measurement never makes you less sure: (I - K H) P, not (I +
+K H) P.""")
 def _(covariance, H, V, residual):
     K = _gain(covariance, H, V)
     return K @ residual, (np.eye(len(covariance)) + K @ H) @ covariance
 
 
-@kalman_update.mistake("covariance not updated", """The mean has moved, so the filter has learned: the
-covariance shrinks.""")
+@kalman_update.mistake("covariance not updated", """The mean has moved, so the filter has learned: the covariance
+shrinks.""")
 def _(covariance, H, V, residual):
     return _gain(covariance, H, V) @ residual, covariance.copy()
 
 
-@kalman_update.mistake("Joseph form without K V K^T", """(I - K H) P (I - K H)^T is only half of the Joseph
-form; the noise
-that came in through the gain is the other half.""")
+@kalman_update.mistake("Joseph form without K V K^T", """(I - K H) P (I - K H)^T is only half of the Joseph form; the
+noise that came in through the gain is the other half.""")
 def _(covariance, H, V, residual):
     K = _gain(covariance, H, V)
     A = np.eye(len(covariance)) - K @ H
@@ -295,8 +294,8 @@ def _(V, n):
     return np.kron(np.eye(n), np.diag(np.diag(V)))
 
 
-@stacked_noise.mistake("V of one measurement", """One V for each of the n measurements: (4n, 4n), not the sum or
-mean of them.""")
+@stacked_noise.mistake("V of one measurement", """One V for each of the n measurements: (4n, 4n), not the sum or mean of
+them.""")
 def _(V, n):
     return block_diag(V, np.zeros((4 * n - 4, 4 * n - 4)))
 
@@ -346,8 +345,8 @@ def _(landmarks, ids, accepted, delta):
     return new
 
 
-@correct_landmarks.mistake("correction put in place of the landmark", """delta is a correction: add it (+=), do
-not assign it (=).""")
+@correct_landmarks.mistake("correction put in place of the landmark", """delta is a correction: add it (+=), do not
+assign it (=).""")
 def _(landmarks, ids, accepted, delta):
     new = landmarks.copy()
     new[ids[accepted]] = delta[accepted]

@@ -72,15 +72,14 @@ def _(camera, world_T_imu, landmark):
     return -J @ se3.odot(s)
 
 
-@pose_jacobian.mistake("sign flipped", """When the camera moves forward the points come towards it: the Jacobian
-carries a minus sign, because the pose enters through its inverse.""")
+@pose_jacobian.mistake("sign flipped", """When the camera moves forward the points come towards it: the Jacobian carries
+a minus sign, because the pose enters through its inverse.""")
 def _(camera, world_T_imu, landmark):
     return -camera.pose_jacobian(world_T_imu, landmark)
 
 
 @pose_jacobian.mistake("world and body mixed", """This belongs to exp(e^) T, a perturbation expressed in the world
-frame. A
-right perturbation T exp(e^) is expressed in the body: odot(s), s in the IMU frame.""")
+frame. A right perturbation T exp(e^) is expressed in the body: odot(s), s in the IMU frame.""")
 def _(camera, world_T_imu, landmark):
     _, J = _s_and_J(camera, world_T_imu, landmark)
     return -J @ camera.cam_T_imu @ se3.inverse(world_T_imu) @ se3.odot(landmark)
@@ -136,8 +135,8 @@ def pose_update(camera, world_T_imu, covariance, landmarks, pixels, sigma_px):
     return world_T_imu @ se3.exp(delta), P
 
 
-@pose_update.mistake("world and body mixed", """The correction is a right perturbation, expressed in the body frame:
-T exp(delta^), not exp(delta^) T.""")
+@pose_update.mistake("world and body mixed", """The correction is a right perturbation, expressed in the body frame: T
+exp(delta^), not exp(delta^) T.""")
 def _(camera, world_T_imu, covariance, landmarks, pixels, sigma_px):
     delta, P = _correction(camera, world_T_imu, covariance, landmarks, pixels, sigma_px**2 * np.eye(pixels.size))
     return se3.exp(delta) @ world_T_imu, P
@@ -163,9 +162,8 @@ def _(camera, world_T_imu, covariance, landmarks, pixels, sigma_px):
     return world_T_imu @ se3.pose(se3.so3_exp(delta[3:]), delta[:3]), P
 
 
-@pose_update.mistake("np.tile in place of the Kronecker product", """The noise of n measurements is I (x) V.
-np.tile puts
-V between different landmarks too, as if they all shared one noise.""")
+@pose_update.mistake("np.tile in place of the Kronecker product", """The noise of n measurements is I (x) V. np.tile
+puts V between different landmarks too, as if they all shared one noise.""")
 def _(camera, world_T_imu, covariance, landmarks, pixels, sigma_px):
     V = np.tile(sigma_px**2 * np.eye(4), (len(pixels), len(pixels)))
     H = camera.pose_jacobian(world_T_imu, landmarks).reshape(-1, 6)

@@ -46,9 +46,8 @@ def _(covariance, F, W):
     return _carried(covariance, F, W, cross=False)
 
 
-@predict_joint.mistake("one cross-covariance not written", """Both cross blocks change, one is the transpose of
-the other:
-writing P_LR alone leaves the matrix unsymmetric.""")
+@predict_joint.mistake("one cross-covariance not written", """Both cross blocks change, one is the transpose of the
+other: writing P_LR alone leaves the matrix unsymmetric.""")
 def _(covariance, F, W):
     n = len(covariance) - 6
     new = _carried(covariance, F, W)
@@ -56,8 +55,8 @@ def _(covariance, F, W):
     return new
 
 
-@predict_joint.mistake("cross-covariances set to zero", """Moving does not make the pose independent of the map:
-P_LR becomes P_LR F^T, not zero.""")
+@predict_joint.mistake("cross-covariances set to zero", """Moving does not make the pose independent of the map: P_LR
+becomes P_LR F^T, not zero.""")
 def _(covariance, F, W):
     n = len(covariance) - 6
     return block_diag(covariance[:n, :n], F @ covariance[n:, n:] @ F.T + W)
@@ -81,8 +80,8 @@ def _(covariance, F, W):
     return new
 
 
-@predict_joint.mistake("pose taken to come first", """The state is ordered landmarks first, then pose: the pose
-is the last six.""")
+@predict_joint.mistake("pose taken to come first", """The state is ordered landmarks first, then pose: the pose is the
+last six.""")
 def _(covariance, F, W):
     Phi = block_diag(F, np.eye(len(covariance) - 6))
     return Phi @ covariance @ Phi.T + block_diag(W, np.zeros_like(covariance[6:, 6:]))
@@ -145,16 +144,15 @@ def _(covariance, world_T_imu, point_imu, C):
     return _born(covariance, world_T_imu, point_imu, G, G @ covariance[-6:, -6:] @ G.T + R @ C @ R.T, cross)
 
 
-@new_landmark.mistake("pose assumed known", """R C R^T is the landmark's uncertainty if the pose were exact. The
-pose's own error comes on top: G P_RR G^T, and the correlation with it.""")
+@new_landmark.mistake("pose assumed known", """R C R^T is the landmark's uncertainty if the pose were exact. The pose's
+own error comes on top: G P_RR G^T, and the correlation with it.""")
 def _(covariance, world_T_imu, point_imu, C):
     G, R = _G(world_T_imu, point_imu), world_T_imu[:3, :3]
     return _born(covariance, world_T_imu, point_imu, G, R @ C @ R.T, np.zeros((3, len(covariance))))
 
 
-@new_landmark.mistake("the report's 2 I", """The report gives every new landmark 2 m^2 per axis and no
-correlation. A far
-one is known worse, a near one better, and all of them share the error of the pose.""")
+@new_landmark.mistake("the report's 2 I", """The report gives every new landmark 2 m^2 per axis and no correlation. A
+far one is known worse, a near one better, and all of them share the error of the pose.""")
 def _(covariance, world_T_imu, point_imu, C):
     G = _G(world_T_imu, point_imu)
     return _born(covariance, world_T_imu, point_imu, G, 2 * np.eye(3), np.zeros((3, len(covariance))))
@@ -176,17 +174,16 @@ def _(covariance, world_T_imu, point_imu, C):
     return _born(covariance, world_T_imu, point_imu, G, G @ covariance[-6:, -6:] @ G.T + C)
 
 
-@new_landmark.mistake("world and body mixed", """[I, -m^] belongs to a perturbation expressed in the world frame.
-For the
-right perturbation G = R [I, -s^], s in the IMU frame.""")
+@new_landmark.mistake("world and body mixed", """[I, -m^] belongs to a perturbation expressed in the world frame. For
+the right perturbation G = R [I, -s^], s in the IMU frame.""")
 def _(covariance, world_T_imu, point_imu, C):
     R = world_T_imu[:3, :3]
     G = np.hstack([np.eye(3), -se3.so3_hat(se3.transform(world_T_imu, point_imu))])
     return _born(covariance, world_T_imu, point_imu, G, G @ covariance[-6:, -6:] @ G.T + R @ C @ R.T)
 
 
-@new_landmark.mistake("put after the pose", """The order is landmarks first, then pose: the new landmark goes in
-front of the pose.""")
+@new_landmark.mistake("put after the pose", """The order is landmarks first, then pose: the new landmark goes in front
+of the pose.""")
 def _(covariance, world_T_imu, point_imu, C):
     m, P = new_landmark.reference(covariance, world_T_imu, point_imu, C)
     n = len(covariance) - 6
@@ -237,21 +234,20 @@ def _(H_landmark, H_pose, rows, n):
     return H.reshape(len(rows), 4, -1).swapaxes(0, 1).reshape(4 * len(rows), -1)
 
 
-@joint_jacobian.mistake("rows ignored", """Measurement i shows landmark rows[i], not landmark i: its block goes
-to columns
-3 rows[i] and on.""")
+@joint_jacobian.mistake("rows ignored", """Measurement i shows landmark rows[i], not landmark i: its block goes to
+columns 3 rows[i] and on.""")
 def _(H_landmark, H_pose, rows, n):
     return _assembled(H_landmark, H_pose, n, lambda i: slice(3 * i, 3 * i + 3))
 
 
-@joint_jacobian.mistake("pose taken to come first", """The state is ordered landmarks first, then pose: the pose
-has the last six columns.""")
+@joint_jacobian.mistake("pose taken to come first", """The state is ordered landmarks first, then pose: the pose has the
+last six columns.""")
 def _(H_landmark, H_pose, rows, n):
     return np.roll(joint_jacobian.reference(H_landmark, H_pose, rows, n), 6, axis=1)
 
 
-@joint_jacobian.mistake("pose block forgotten", """Every measurement depends on the pose too: its block goes
-into the last six columns.""")
+@joint_jacobian.mistake("pose block forgotten", """Every measurement depends on the pose too: its block goes into the
+last six columns.""")
 def _(H_landmark, H_pose, rows, n):
     return joint_jacobian.reference(H_landmark, 0 * H_pose, rows, n)
 
@@ -291,26 +287,23 @@ def _(world_T_imu, landmarks, covariance, H, residual, V):
     return world_T_imu @ se3.exp(delta[n:]), landmarks + delta[:n].reshape(3, -1).T, P
 
 
-@joint_update.mistake("cross-covariances cut", """Landmarks and pose were taken for independent. Their
-correlation is what
-lets a measurement of one landmark correct the others.""")
+@joint_update.mistake("cross-covariances cut", """Landmarks and pose were taken for independent. Their correlation is
+what lets a measurement of one landmark correct the others.""")
 def _(world_T_imu, landmarks, covariance, H, residual, V):
     n = landmarks.size
     apart = block_diag(covariance[:n, :n], covariance[n:, n:])
     return _moved(world_T_imu, landmarks, *kalman.update(apart, H, V, residual))
 
 
-@joint_update.mistake("chained indexing updates a copy", """new[seen][...] += ... changes a temporary array:
-the landmarks
-came back as they were. Index once.""")
+@joint_update.mistake("chained indexing updates a copy", """new[seen][...] += ... changes a temporary array: the
+landmarks came back as they were. Index once.""")
 def _(world_T_imu, landmarks, covariance, H, residual, V):
     delta, P = kalman.update(covariance, H, V, residual)
     return world_T_imu @ se3.exp(delta[landmarks.size:]), landmarks.copy(), P
 
 
-@joint_update.mistake("world and body mixed", """The pose's correction is a right perturbation, expressed in the
-body frame:
-T exp(delta^), not exp(delta^) T.""")
+@joint_update.mistake("world and body mixed", """The pose's correction is a right perturbation, expressed in the body
+frame: T exp(delta^), not exp(delta^) T.""")
 def _(world_T_imu, landmarks, covariance, H, residual, V):
     delta, P = kalman.update(covariance, H, V, residual)
     n = landmarks.size

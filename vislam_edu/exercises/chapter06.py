@@ -31,9 +31,8 @@ def process_noise(sigma_v, sigma_omega, tau):
     return Noise(sigma_v, sigma_omega).process_covariance(tau)
 
 
-@process_noise.mistake("not scaled by tau", """This is the covariance of the twist. The pose drifts by tau
-times the error
-of the twist, so W carries tau^2. The report's W does not scale at all.""")
+@process_noise.mistake("not scaled by tau", """This is the covariance of the twist. The pose drifts by tau times the
+error of the twist, so W carries tau^2. The report's W does not scale at all.""")
 def _(sigma_v, sigma_omega, tau):
     return _W(sigma_v**2, sigma_omega**2)
 
@@ -92,9 +91,8 @@ def _(errors, covariances):
     return np.sqrt(metrics.nees(errors, covariances))
 
 
-@nees.mistake("divided by the degrees of freedom", """The NEES itself has mean n. Dividing by n is a way to
-plot it, but it
-then no longer follows the chi-square table.""")
+@nees.mistake("divided by the degrees of freedom", """The NEES itself has mean n. Dividing by n is a way to plot it, but
+it then no longer follows the chi-square table.""")
 def _(errors, covariances):
     return metrics.nees(errors, covariances) / errors.shape[1]
 
@@ -126,8 +124,8 @@ def chi2_band(dof, runs, probability):
     return metrics.chi2_band(dof, runs, probability)
 
 
-@chi2_band.mistake("runs ignored", """A mean over runs scatters less than one run: N dof degrees of freedom,
-divided by N.""")
+@chi2_band.mistake("runs ignored", """A mean over runs scatters less than one run: N dof degrees of freedom, divided by
+N.""")
 def _(dof, runs, probability):
     return metrics.chi2_band(dof, 1, probability)
 
@@ -138,22 +136,19 @@ def _(dof, runs, probability):
     return low * runs, high * runs
 
 
-@chi2_band.mistake("tails not halved", """A band of 95 % leaves 2.5 % on each side; this one leaves 5 % on each
-side.""")
+@chi2_band.mistake("tails not halved", "A band of 95 % leaves 2.5 % on each side; this one leaves 5 % on each side.")
 def _(dof, runs, probability):
     return metrics.chi2_band(dof, runs, 2 * probability - 1)
 
 
-@chi2_band.mistake("one-sided", """A mean NEES that is too low is wrong as well (the filter wastes what it
-measured): leave
-half of the tail below.""")
+@chi2_band.mistake("one-sided", """A mean NEES that is too low is wrong as well (the filter wastes what it measured):
+leave half of the tail below.""")
 def _(dof, runs, probability):
     return 0.0, kalman.chi_square_quantile(probability, dof * runs) / runs
 
 
-@chi2_band.mistake("normal approximation", """dof +- z sqrt(2 dof / N) is what the band tends to for many runs;
-for few it
-is lopsided. Use the chi-square quantiles.""")
+@chi2_band.mistake("normal approximation", """dof +- z sqrt(2 dof / N) is what the band tends to for many runs; for few
+it is lopsided. Use the chi-square quantiles.""")
 def _(dof, runs, probability):
     half = ndtri((1 + probability) / 2) * np.sqrt(2 * dof / runs)
     return dof - half, dof + half

@@ -38,22 +38,20 @@ def invariant_noise(world_T_imu, landmarks, body_noise):
     return _stacked(_INVARIANT.landmark_transition(landmarks, B), B)
 
 
-@invariant_noise.mistake("landmarks left out", """The landmarks stand still, but their error is expressed relative
-to a world
-that turns with the pose's error: m^ B_R. Without it the filter is inconsistent again.""")
+@invariant_noise.mistake("landmarks left out", """The landmarks stand still, but their error is expressed relative to a
+world that turns with the pose's error: m^ B_R. Without it the filter is inconsistent again.""")
 def _(world_T_imu, landmarks, body_noise):
     return _stacked(np.zeros((len(landmarks), 3, 6)), se3.adjoint(world_T_imu) @ body_noise)
 
 
-@invariant_noise.mistake("world and body mixed", """The IMU's noise is expressed in the body frame, the invariant
-error in the
-world: the Adjoint of the pose stands between them.""")
+@invariant_noise.mistake("world and body mixed", """The IMU's noise is expressed in the body frame, the invariant error
+in the world: the Adjoint of the pose stands between them.""")
 def _(world_T_imu, landmarks, body_noise):
     return _stacked(se3.so3_hat(landmarks) @ body_noise[3:], body_noise)
 
 
-@invariant_noise.mistake("sign of m^", """A turn x of the world moves a landmark by x^ m = -m^ x, which its
-error has to make good: +m^ B_R.""")
+@invariant_noise.mistake("sign of m^", """A turn x of the world moves a landmark by x^ m = -m^ x, which its error has to
+make good: +m^ B_R.""")
 def _(world_T_imu, landmarks, body_noise):
     B = se3.adjoint(world_T_imu) @ body_noise
     return _stacked(-se3.so3_hat(landmarks) @ B[3:], B)
@@ -67,8 +65,8 @@ def _(world_T_imu, landmarks, body_noise):
     return _stacked(se3.so3_hat(landmarks) @ B[3:], B)
 
 
-@invariant_noise.mistake("Adjoint of the inverse", """From the body into the world goes Ad(world_T_imu), not
-that of its inverse.""")
+@invariant_noise.mistake("Adjoint of the inverse", """From the body into the world goes Ad(world_T_imu), not that of its
+inverse.""")
 def _(world_T_imu, landmarks, body_noise):
     B = se3.adjoint(se3.inverse(world_T_imu)) @ body_noise
     return _stacked(se3.so3_hat(landmarks) @ B[3:], B)
@@ -93,23 +91,21 @@ def invariant_jacobian(J, world_T_imu):
     return _INVARIANT.jacobians(world_T_imu, np.zeros((len(J), 3)), J)
 
 
-@invariant_jacobian.mistake("rotation kept", """Columns for the rotation other than zero tell the filter that
-one look at
-one landmark says something about the heading of the whole world. Nothing measures that.""")
+@invariant_jacobian.mistake("rotation kept", """Columns for the rotation other than zero tell the filter that one look
+at one landmark says something about the heading of the whole world. Nothing measures that.""")
 def _(J, world_T_imu):
     H = J @ world_T_imu[:3, :3].T
     return H, np.concatenate([-H, H @ se3.so3_hat(world_T_imu[:3, 3])], axis=-1)
 
 
-@invariant_jacobian.mistake("expressed in the body frame", """-J alone is the right perturbation's block, expressed
-in the
-body frame. Here the position error is expressed in the world: -J R^T.""")
+@invariant_jacobian.mistake("expressed in the body frame", """-J alone is the right perturbation's block, expressed in
+the body frame. Here the position error is expressed in the world: -J R^T.""")
 def _(J, world_T_imu):
     return J @ world_T_imu[:3, :3].T, np.concatenate([-J, np.zeros_like(J)], axis=-1)
 
 
-@invariant_jacobian.mistake("sign of the position", """Landmark and position enter as m - p: the position's
-block is minus the landmark's.""")
+@invariant_jacobian.mistake("sign of the position", """Landmark and position enter as m - p: the position's block is
+minus the landmark's.""")
 def _(J, world_T_imu):
     H = J @ world_T_imu[:3, :3].T
     return H, np.concatenate([H, np.zeros_like(H)], axis=-1)
@@ -121,8 +117,8 @@ def _(J, world_T_imu):
     return H, np.concatenate([-H, np.zeros_like(H)], axis=-1)
 
 
-@invariant_jacobian.mistake("rotation and translation swapped", """The columns are [position, rotation]: zero
-stands on the right.""")
+@invariant_jacobian.mistake("rotation and translation swapped", """The columns are [position, rotation]: zero stands on
+the right.""")
 def _(J, world_T_imu):
     H = J @ world_T_imu[:3, :3].T
     return H, np.concatenate([np.zeros_like(H), -H], axis=-1)
@@ -158,28 +154,26 @@ def invariant_retract(world_T_imu, landmarks, delta):
     return _INVARIANT.retract(world_T_imu, landmarks, delta)
 
 
-@invariant_retract.mistake("left Jacobian forgotten", """Every translation is multiplied by J_l(x_R). Leaving
-it out looks
-harmless and cost a factor of six in NEES.""")
+@invariant_retract.mistake("left Jacobian forgotten", """Every translation is multiplied by J_l(x_R). Leaving it out
+looks harmless and cost a factor of six in NEES.""")
 def _(world_T_imu, landmarks, delta):
     return _turned(world_T_imu, landmarks, delta, np.eye(3))
 
 
-@invariant_retract.mistake("right Jacobian", """The translations are multiplied by the left Jacobian, J_l(x_R),
-not by the right one.""")
+@invariant_retract.mistake("right Jacobian", """The translations are multiplied by the left Jacobian, J_l(x_R), not by
+the right one.""")
 def _(world_T_imu, landmarks, delta):
     return _turned(world_T_imu, landmarks, delta, se3.so3_right_jacobian(delta[-3:]))
 
 
-@invariant_retract.mistake("landmarks not turned", """x_R turns the whole world, landmarks included: exp(x_R)
-m, then the
-shift.""")
+@invariant_retract.mistake("landmarks not turned", """x_R turns the whole world, landmarks included: exp(x_R) m, then
+the shift.""")
 def _(world_T_imu, landmarks, delta):
     return _turned(world_T_imu, landmarks, delta, se3.so3_left_jacobian(delta[-3:]), turn_landmarks=False)
 
 
-@invariant_retract.mistake("position not turned", """x_R turns the car's position about the world's origin too:
-exp(x_R) p.""")
+@invariant_retract.mistake("position not turned", """x_R turns the car's position about the world's origin too: exp(x_R)
+p.""")
 def _(world_T_imu, landmarks, delta):
     return _turned(world_T_imu, landmarks, delta, se3.so3_left_jacobian(delta[-3:]), turn_position=False)
 

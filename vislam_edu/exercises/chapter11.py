@@ -35,8 +35,7 @@ def _(T_this, T_next, tau):
 
 
 @twist_jacobians.mistake("left and right swapped", """The perturbation of T_next stands on the right of exp(tau xi),
-that of
-T_this on its left: J_r^-1 belongs to T_next, J_l^-1 to T_this.""")
+that of T_this on its left: J_r^-1 belongs to T_next, J_l^-1 to T_this.""")
 def _(T_this, T_next, tau):
     step = se3.log(se3.inverse(T_this) @ T_next)
     return -se3.right_jacobian_inverse(step) / tau, se3.left_jacobian_inverse(step) / tau
@@ -49,9 +48,8 @@ def _(T_this, T_next, tau):
     return se3.left_jacobian_inverse(step) / tau, se3.right_jacobian_inverse(step) / tau
 
 
-@twist_jacobians.mistake("plus and minus the identity", """The Jacobians are -I/tau and I/tau only where the step
-does not
-move; a step of a metre and a turn needs J_l^-1 and J_r^-1.""")
+@twist_jacobians.mistake("plus and minus the identity", """The Jacobians are -I/tau and I/tau only where the step does
+not move; a step of a metre and a turn needs J_l^-1 and J_r^-1.""")
 def _(T_this, T_next, tau):
     return -np.eye(6) / tau, np.eye(6) / tau
 
@@ -80,9 +78,8 @@ def schur(H, g, n_poses):
     return S, x, V_inverse @ (g[p:] - E.T @ x)
 
 
-@schur.mistake("right side not reduced", """Eliminating the landmarks changes the right side as well: a - E V^-1 b.
-With a
-alone, what the cameras say about the landmarks is thrown away.""")
+@schur.mistake("right side not reduced", """Eliminating the landmarks changes the right side as well: a - E V^-1 b. With
+a alone, what the cameras say about the landmarks is thrown away.""")
 def _(H, g, n_poses):
     p = n_poses
     U, E, V = H[:p, :p], H[:p, p:], H[p:, p:]
@@ -175,9 +172,8 @@ def robust_weight(r, c):
     return batch.cauchy(np.sum(r**2, axis=-1), c)
 
 
-@robust_weight.mistake("root of the weight", """The weight multiplies the squared residual. Its root multiplies
-residual and
-Jacobian; return the weight itself.""")
+@robust_weight.mistake("root of the weight", """The weight multiplies the squared residual. Its root multiplies residual
+and Jacobian; return the weight itself.""")
 def _(r, c):
     cost, weight = batch.cauchy(np.sum(r**2, axis=-1), c)
     return cost, np.sqrt(weight)
@@ -197,8 +193,7 @@ def _(r, c):
 
 
 @robust_weight.mistake("each number by itself", """Wrong tracks are wrong as a whole. The loss is of the measurement:
-sum its
-three squares first.""")
+sum its three squares first.""")
 def _(r, c):
     cost, weight = batch.cauchy(r**2, c)
     return cost.sum(axis=-1), weight.mean(axis=-1)

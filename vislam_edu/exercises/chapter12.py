@@ -37,8 +37,7 @@ def _(landmarks, covariance, i, j):
 
 
 @pair_covariance.mistake("plus for minus", """That is the covariance of the sum. In a difference what both share
-cancels:
-minus P_ij and minus P_ji.""")
+cancels: minus P_ij and minus P_ji.""")
 def _(landmarks, covariance, i, j):
     P = covariance
     return landmarks[i] - landmarks[j], _block(P, i, i) + _block(P, j, j) + _block(P, i, j) + _block(P, j, i)
@@ -86,8 +85,7 @@ def _(landmarks, covariance, pairs):
 
 
 @joint_nis.mistake("3 degrees of freedom", """k pairs are 3k numbers: the gate has 3k degrees of freedom. With 3 it
-turns
-away right pairs as soon as there are several.""")
+turns away right pairs as soon as there are several.""")
 def _(landmarks, covariance, pairs):
     d, S = _stacked(landmarks, covariance, pairs)
     return kalman.nis(d, S), kalman.gate_threshold(0.99, 3)
@@ -134,8 +132,7 @@ def fuse_pair(landmarks, covariance, new, old):
 
 
 @fuse_pair.mistake("average of the two", """The mean of the two positions ignores which of them is known better, and
-tells
-the rest of the map nothing. It is a Kalman update with m_new - m_old = 0.""")
+tells the rest of the map nothing. It is a Kalman update with m_new - m_old = 0.""")
 def _(landmarks, covariance, new, old):
     moved = landmarks.copy()
     moved[new] = (landmarks[new] + landmarks[old]) / 2
@@ -153,15 +150,13 @@ def _(landmarks, covariance, new, old):
 
 
 @fuse_pair.mistake("both rows kept", """After the update the two rows hold the same numbers, so the covariance is
-singular
-and the next update breaks. The old row has to go.""")
+singular and the next update breaks. The old row has to go.""")
 def _(landmarks, covariance, new, old):
     return _fused(landmarks, covariance, new, old)
 
 
 @fuse_pair.mistake("old row dropped, nothing learned", """Dropping the old row is marginalising: it forgets what the
-place was
-known to be. First the update, then the row goes.""")
+place was known to be. First the update, then the row goes.""")
 def _(landmarks, covariance, new, old):
     return _without(landmarks, covariance, old)
 
@@ -187,8 +182,7 @@ def merge_ids(n, pairs):
 
 
 @merge_ids.mistake("one way only", """The new id points to the old one, and the old one may itself be another place:
-follow
-the chain to its end.""")
+follow the chain to its end.""")
 def _(n, pairs):
     place = np.arange(n)
     for new, old in pairs:

@@ -90,8 +90,8 @@ def filter_predict(world_T_imu, covariance, twist, tau, noise):
     return _predicted(world_T_imu, covariance, twist, tau, noise)
 
 
-@filter_predict.mistake("cross-covariances not propagated", """Only the pose block was carried along: P_LR becomes
-P_LR F^T, P_RL its transpose.""")
+@filter_predict.mistake("cross-covariances not propagated", """Only the pose block was carried along: P_LR becomes P_LR
+F^T, P_RL its transpose.""")
 def _(world_T_imu, covariance, twist, tau, noise):
     return _predicted(world_T_imu, covariance, twist, tau, noise, cross=False)
 
@@ -199,8 +199,8 @@ def _(world_T_imu, landmarks, covariance, rows, pixels, camera, noise):
                     retract=lambda T, m, d, e: (T @ se3.exp(e), m))
 
 
-@filter_update.mistake("only the seen landmarks corrected", """The others are correlated with the pose and move
-too: this is what the joint covariance is for.""")
+@filter_update.mistake("only the seen landmarks corrected", """The others are correlated with the pose and move too:
+this is what the joint covariance is for.""")
 def _(world_T_imu, landmarks, covariance, rows, pixels, camera, noise):
     def retract(T, m, d, e):
         moved = m.copy()
@@ -275,8 +275,8 @@ def _(world_T_imu, landmarks, covariance, pixels, camera, noise):
     return np.vstack([landmarks, landmark]), P
 
 
-@filter_birth.mistake("prior 2 I", """The report's 2 I says neither how well the point was triangulated nor how well
-the pose is known.""")
+@filter_birth.mistake("prior 2 I", """The report's 2 I says neither how well the point was triangulated nor how well the
+pose is known.""")
 def _(world_T_imu, landmarks, covariance, pixels, camera, noise):
     n = landmarks.size
     point = se3.transform(world_T_imu @ camera.imu_T_cam, camera.triangulate(pixels)[0])
@@ -467,8 +467,8 @@ def _(f, baseline, point, covariance):
     return _curved(f, 0.0, point, covariance)
 
 
-@curved_mean.mistake("depth alone", """h'' has entries beside the diagonal too, and x and z are
-correlated, because a landmark is uncertain along its ray.""")
+@curved_mean.mistake("depth alone", """h'' has entries beside the diagonal too, and x and z are correlated, because a
+landmark is uncertain along its ray.""")
 def _(f, baseline, point, covariance):
     return _curved(f, baseline, point, covariance, cross=0.0)
 

@@ -12,7 +12,7 @@ from collections import Counter, defaultdict
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-from ..recordings.files import replacing, shown, write_csv
+from ..recordings.files import shown, write_csv, write_text
 from . import cells, grading
 from .exercise import EXERCISES
 from .grading import Result, Submission
@@ -38,8 +38,7 @@ def refresh(path: Path) -> list[str]:
     _, notebook = cells.read(path)
     changed = cells.refresh(notebook)
     if changed:
-        with replacing(path) as file:
-            file.write((nbformat.writes(notebook) + "\n").encode())
+        write_text(path, nbformat.writes(notebook) + "\n")
     return changed
 
 
@@ -109,8 +108,8 @@ def write(submissions: Sequence[Submission], folder: Path) -> None:
     content = [{"notebook": shown(submission.name), "problem": submission.problem,
                 "exercises": [{"chapter": result.chapter} | dataclasses.asdict(result)
                               for result in submission.results]} for submission in submissions]
-    _write_text(folder / "exercises.json", json.dumps(content, indent=2, ensure_ascii=False))
-    _write_text(folder / "summary.txt", summary(submissions))
+    write_text(folder / "exercises.json", json.dumps(content, indent=2, ensure_ascii=False) + "\n")
+    write_text(folder / "summary.txt", summary(submissions) + "\n")
 
     students: dict[str, list[Submission]] = defaultdict(list)
     for submission in submissions:
@@ -127,7 +126,7 @@ def write(submissions: Sequence[Submission], folder: Path) -> None:
         while name.lower() in used:  # two names may differ in what a file name cannot hold
             name += "_"
         used.add(name.lower())
-        _write_text(folder / "feedback" / f"{name}.md", feedback(student, own))
+        write_text(folder / "feedback" / f"{name}.md", feedback(student, own) + "\n")
 
 
 def feedback(student: str, submissions: Iterable[Submission]) -> str:
@@ -150,7 +149,3 @@ def feedback(student: str, submissions: Iterable[Submission]) -> str:
 def _escaped(text: str) -> str:
     """Text in which Markdown and HTML see nothing but text."""
     return re.sub(r"([\\`*_{}\[\]()#+!|<>&])", r"\\\1", shown(text))
-
-
-def _write_text(path: Path, text: str) -> None:
-    path.write_text(text + "\n", encoding="utf-8")

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import csv
 import glob
+import io
 import os
 import platform
 import shutil
@@ -250,9 +251,15 @@ def replacing(path):
         part.unlink(missing_ok=True)
 
 
+def write_text(path: Path, text: str) -> None:
+    """A text file, complete or not at all."""
+    with replacing(path) as file:
+        file.write(text.encode("utf-8"))
+
+
 def write_csv(path: Path, header: list[str], rows: Iterable[Iterable]) -> None:
-    """A CSV file; a text that a spreadsheet would take for a formula begins with an apostrophe."""
-    with open(path, "w", newline="", encoding="utf-8") as file:
+    """A CSV file, complete or not at all; an apostrophe stands before what a spreadsheet would take for a formula."""
+    with replacing(path) as binary, io.TextIOWrapper(binary, newline="", encoding="utf-8") as file:
         out = csv.writer(file)
         out.writerow(header)
         out.writerows([_cell(value) for value in row] for row in rows)

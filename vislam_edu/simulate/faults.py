@@ -97,31 +97,6 @@ def baseline_error(drive, factor):
     return _planted(drive, f"baseline {factor:.4f} times the true one", camera=camera)
 
 
-def looming_slip(drive, slip_of_zoom=2.0, slip_floor=0.1, seed=0):
-    """Tracks creep away from their points, more where the image grows: a random walk of both images together.
-
-    From one frame to the next each coordinate slips by slip_floor^2 + slip_of_zoom^2 |ln(z_before / z_now)| px^2, with
-    the true depths z; u of the two images slips independently, v as one by half of that. Needs ground truth.
-    seed : int or numpy Generator.
-    """
-    if drive.truth_landmarks is None or drive.truth_world_T_cam is None:
-        raise ValueError("slip by zoom needs a drive with truth_world_T_cam and truth_landmarks")
-    rng = np.random.default_rng(seed)
-    order = np.lexsort((drive.frame, drive.landmark))  # track by track
-    landmark, poses = drive.landmark[order], drive.truth_world_T_cam[drive.frame[order]]
-    points = np.einsum("nji,nj->ni", poses[:, :3, :3], drive.truth_landmarks[landmark] - poses[:, :3, 3])
-    z = np.maximum(points[:, 2], 0.1)
-    zoom = np.abs(np.diff(np.log(z), prepend=np.log(z[:1])))
-    begins = np.diff(landmark, prepend=-1) != 0
-    sigma = np.where(begins, 0.0, np.sqrt(slip_floor**2 + slip_of_zoom**2 * zoom))
-    u_left, v, u_right = sigma * rng.standard_normal((3, len(z)))
-    walk = np.cumsum(np.stack([u_left, v / 2**0.5, u_right, v / 2**0.5], axis=-1), axis=0)
-    first = np.maximum.accumulate(np.where(begins, np.arange(len(z)), 0))
-    pixels = drive.pixels.copy()
-    pixels[order] += walk - walk[first]
-    return _planted(drive, f"slip of {slip_of_zoom} px at a zoom by e", pixels=pixels)
-
-
 def copy_frames(drive, frames=None):
     """At some frames the tracker copies its old pixels and goes on from them.
 

@@ -141,11 +141,10 @@ def used_twice(prior, ids, pixels, settings):
 
 @dataclass(frozen=True, eq=False)
 class Piece:
-    """A mistake: its title, what `window_slam.run` is expressed in its place, and the exercise whose check catches it.
+    """A mistake: its title, what `window_slam.run` is given in its place, and the exercise whose check catches it.
 
     applied_to : drive -> (drive, keyword arguments of `window_slam.run`). exercise, mistake : names in `exercises`;
-    empty
-    for the right filter.
+    empty for the right filter.
     """
 
     title: str
@@ -208,8 +207,7 @@ class Visit:
     title : of the piece. world_T_imu : (T, 4, 4). error : (T,) m, distance from the truth. nis : (T,), mean over
     the measurements of a frame, 4 if the filter is honest, NaN where it predicted none. nees : (T,) of the pose, 6
     if the filter is honest, infinite where its covariance is not positive definite. used : share of the measurements
-    that passed the
-    gate. stopped : the frame at which it could not go on, or None.
+    that passed the gate. stopped : the frame at which it could not go on, or None.
     """
 
     title: str

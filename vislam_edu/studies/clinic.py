@@ -20,6 +20,7 @@ from scipy import stats
 
 from ..kalman import Step
 from ..plots import style
+from ..recordings.files import shown
 from . import clinic_tests
 from .clinic_tests import TESTS, Readings, bands, read
 from .patients import FAULTS, HEALTHY, KINDS, PIECES, SEAMS, Build, Drawn, draw, stream
@@ -60,7 +61,7 @@ class Score:
 
 
 class Patient:
-    """One patient: order tests, read the sheet, answer once.
+    """One patient: order tests, read the sheet, answer once. recording : its `Drive`, right or wrong.
 
     student : number or name. number : of the patient, from 1. level : 1 one fault, six suspects; 2 healthy is possible,
     a smaller budget; 3 also two faults, and recordings. key : secret of an examination, "" for practice.
@@ -90,6 +91,8 @@ class Patient:
             return f"order {' or '.join(map(repr, seen_by))}" if seen_by else "three tests without a finding say much"
 
         self._examine, self._judge, self._steps, self._hint = examine, judge, steps, hint
+        # Without its history, which says what was planted.
+        self.recording = drawn.build.recording(clinic_tests.base_drive(drawn.seed)).replace(history=())
 
     def order(self, *names: str) -> None:
         """Order tests, by their names in `TESTS`. Raises BudgetError when too little is left, ValueError for a name."""
@@ -101,7 +104,7 @@ class Patient:
                 self.readings[name] = self._examine(name)
 
     def steps(self) -> Iterable[Step]:
-        """The patient's steps over its drive, for the explorer; costs 1."""
+        """The filter's `Step`s over its recording, for `Explorer(patient.steps(), patient.recording)`; costs 1."""
         self._pay(1, "the steps of a drive")
         return self._steps()
 
@@ -210,7 +213,7 @@ def grade(student: int | str, answered: Mapping[str, Any], level: int, key: str)
             return {"total": 0.0, "problem": "not answered"}
         score = patient.answer(tuple(answered["piece"]), tuple(answered["kind"]), tuple(answered["evidence"]))
     except (ValueError, KeyError, TypeError) as error:
-        return {"total": 0.0, "problem": " ".join(str(error).split())}
+        return {"total": 0.0, "problem": shown(error)}
     parts = ("piece", "kind", "evidence", "cure", "thrift")
     return {"total": round(score.total, 3)} | {part: round(getattr(score, part), 3) for part in parts} \
         | {"truth": list(map(list, score.truth)), "remarks": list(score.remarks), "problem": ""}

@@ -124,13 +124,3 @@ def information_gained(error_state, matrix, points):
     """
     directions = global_directions(error_state, points.world_T_imu[0], points.landmarks[0])
     return np.linalg.norm(matrix.reshape(-1, matrix.shape[-1]) @ directions, axis=0)
-
-
-def heading_variance(error_state, belief):
-    """rad^2: variance of the turn about the world's vertical axis that the filter claims for its pose.
-
-    belief : `slam.Belief`. Stereo and twists without an absolute heading can never bring it below where it
-    began.
-    """
-    W = error_state.world_pose(belief.world_T_imu)
-    return float((W @ belief.pose_covariance @ W.T)[5, 5])

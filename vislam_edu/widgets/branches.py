@@ -18,7 +18,7 @@ class BranchesPicture(Picture):
     """
 
     name = "branch and bound"
-    size = (8.0, 3.9)
+    size = (6.4, 3.9)
 
     def __init__(self, both: Candidates, gate: float = 0.99):
         self.both, self.gate = both, gate
@@ -36,7 +36,7 @@ class BranchesPicture(Picture):
         super().__init__()
 
     def build(self):
-        self.tree = add_axes(self, (0.07, 0.14, 0.42, 0.68), "Sets of pairs, in the order of the search",
+        self.tree = add_axes(self, (0.08, 0.14, 0.45, 0.68), "Sets of pairs, in the order of the search",
                              "node", "pairs", xlim=(0, len(self.nodes) + 1), ylim=(self.depth.max() + 0.5, -0.5),
                              yticks=np.arange(self.depth.max() + 1))
         edges = LineCollection([], colors=COLOURS["faded"], linewidths=0.9)
@@ -47,7 +47,7 @@ class BranchesPicture(Picture):
         legend_above(self.tree, [fitting, ended, here])
 
         new, old = self.both.landmarks[:len(self.both.new)], self.both.landmarks[len(self.both.new):]
-        self.map = add_axes(self, (0.59, 0.14, 0.40, 0.68), "Its pairs on the map", "x (m)", "y (m)")
+        self.map = add_axes(self, (0.65, 0.14, 0.34, 0.68), "Its pairs on the map", "x (m)", "y (m)")
         fit_equal(self.map, new[:, :2], old[:, :2], margin=3.0)
         lines = LineCollection([], linewidths=1.8)
         self.map.add_collection(lines, autolim=False)

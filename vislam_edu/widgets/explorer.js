@@ -855,7 +855,8 @@ function plotArea(ctx, look, history, area, range, unit, axis = true) {
     ctx.beginPath();
     ctx.moveTo(area.x, y); ctx.lineTo(area.x + area.w, y);
     ctx.stroke();
-    label(ctx, `${short(v)}${unit ? ` ${unit}` : ""}`, area.x - 4, y, look.ink, look.paper, "right");
+    const inside = Math.min(Math.max(y, area.y + 5), area.y + area.h - (axis ? 0 : 4)); // clear of what is written above and below
+    label(ctx, `${short(v)}${unit ? ` ${unit}` : ""}`, area.x - 4, inside, look.ink, look.paper, "right");
   }
   ctx.textBaseline = "alphabetic";
   if (axis) {
@@ -1037,7 +1038,8 @@ const STYLE = `
 .vx-view { margin: 0; min-width: 0; position: relative; }
 .vx-view canvas { display: block; width: 100%; height: 100%; border-radius: 3px; touch-action: pan-y; }
 .vx-name { position: absolute; width: 1px; height: 1px; overflow: hidden; clip-path: inset(50%); }
-.vx-title { position: absolute; left: 6px; top: 16px; font-weight: 600; pointer-events: none; }
+.vx-title { position: absolute; left: 6px; right: 102px; top: 16px; font-weight: 600; line-height: 1.1;
+  pointer-events: none; } /* it ends before the magnified pose */
 .vx-tip { position: absolute; pointer-events: none; z-index: 5; padding: 2px 6px; border-radius: 3px; font-size: 12px;
   border: 1px solid var(--vx-edge); white-space: nowrap; display: none; }
 .vx-caption { min-height: 2.5em; margin: 3px 0 0; line-height: 1.25; }

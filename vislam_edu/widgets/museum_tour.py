@@ -1,5 +1,7 @@
 """Chapter 10: the joint filter with one mistake, beside the right one: path, position error, NIS and NEES."""
 
+import textwrap
+
 import numpy as np
 from matplotlib.figure import Figure
 
@@ -39,7 +41,7 @@ def gallery(visits, drive, columns=4) -> Figure:
         for place, visit in zip(axes.flat, visits):
             place.plot(*drive.true_world_T_imu[:, :2, 3].T, color=COLOURS["truth"], lw=2.4)
             place.plot(*visit.world_T_imu[:, :2, 3].T, color=_colour(visit), lw=1.2, ls="--" if visit.lost else "-")
-            words = "{}\nNIS {}, NEES {}".format(visit.title, *visit.numbers[1:])
+            words = "{}\nNIS {}\nNEES {}".format(textwrap.fill(visit.title, 23), *visit.numbers[1:])
             place.set_title(words, fontsize=8.5, color=_colour(visit))
             place.set(xlim=(x0, x1), ylim=(y0, y1), aspect="equal")
         for place in axes.flat[len(visits):]:
@@ -64,7 +66,7 @@ class MuseumPicture(Picture):
     """
 
     name = "mistake museum"
-    size = (6.4, 5.6)
+    size = (6.4, 5.8)
 
     def __init__(self, visits, drive):
         self.visits, self.drive = tuple(visits), drive
@@ -78,7 +80,7 @@ class MuseumPicture(Picture):
         """The map and the error above, NIS and NEES through time below."""
         right, times = self.visits[0], self.drive.times - self.drive.times[0]
         x0, x1, y0, y1 = view(self.drive)
-        self.map = add_axes(self, (0.1, 0.5, 0.38, 0.4), "From above", "x (m)", "y (m)", aspect="equal",
+        self.map = add_axes(self, (0.1, 0.54, 0.38, 0.35), "From above", "x (m)", "y (m)", aspect="equal",
                             xlim=(x0, x1), ylim=(y0, y1))
         red = COLOURS["rejected"]
         self.title = self.moves(self.figure.text(0.02, 0.95, "", fontsize=12, weight="bold", color=red))
@@ -88,7 +90,7 @@ class MuseumPicture(Picture):
         (self.path,) = self.map.plot([], [], color=red, lw=1.6, ls="--", label="with the mistake")
         self.moves(self.path)
         self.lines = {}
-        places = {"error": (0.58, 0.5, 0.4, 0.4), "nis": (0.1, 0.09, 0.38, 0.27), "nees": (0.58, 0.09, 0.4, 0.27)}
+        places = {"error": (0.58, 0.54, 0.4, 0.35), "nis": (0.1, 0.15, 0.38, 0.26), "nees": (0.58, 0.15, 0.4, 0.26)}
         for kind, rect in places.items():
             axes = add_axes(self, rect, TITLES[kind], xlim=(0, times[-1]), yscale="log", ylim=LIMITS[kind])
             axes.plot(times, getattr(right, kind), color=COLOURS["predicted"], lw=1.2)
@@ -100,7 +102,7 @@ class MuseumPicture(Picture):
                 band = metrics.chi2_band(6, probability=0.95)
                 axes.axhspan(*band, color=COLOURS["accepted"], alpha=0.25, linewidth=0)
             axes.set_xlabel("time (s)", fontsize=LETTERING)
-        legend(self.lines["error"].axes, [*truth, *good, self.path], columns=1, loc="upper left")
+        legend(self.figure, [*truth, *good, self.path], loc="lower left")
         self.times = times
 
     def _visit(self, title):

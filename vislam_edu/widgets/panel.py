@@ -73,10 +73,11 @@ class Panel(ipywidgets.VBox):
         width = f"{int(DPI * picture.size[0])}px"
         self.image = ipywidgets.Image(format="png", layout=ipywidgets.Layout(width=width, max_width="100%"))
         self.text = ipywidgets.HTML(layout=ipywidgets.Layout(width=width, max_width="100%"))
+        row = ipywidgets.Layout(flex_flow="row wrap", width=width, max_width="100%")  # in as many lines as it needs
         for control in self.controls.values():
             control.observe(self._show, names="value")
         super().__init__(
-            [*self._bars(), self.image, self.text],
+            [ipywidgets.Box(list(self.controls.values()), layout=row), self.image, self.text],
             layout=ipywidgets.Layout(align_items="flex-start"),
             **layout,
         )
@@ -87,16 +88,12 @@ class Panel(ipywidgets.VBox):
         """The keyword arguments that the controls stand for now."""
         return {name: control.value for name, control in self.controls.items()}
 
-    def _bars(self):
-        """The rows of controls above the picture."""
-        return [_row(list(self.controls.values()))] if self.controls else []
-
     def _show(self, change=None):
         self.image.value = self.picture.png(**self.state)
         caption = self.picture.caption(**self.state)
         # "status": a screen reader reads the caption out whenever it changes. An Image widget has no alternative text.
         self.text.value = (
-            f'<div role="status">{html.escape(caption)}</div>'
+            f'<div role="status" style="line-height: 1.4">{html.escape(caption)}</div>'
             f'<div style="{UNSEEN}">{html.escape(self.picture.alt(**self.state))}</div>'
         )
 
@@ -105,12 +102,13 @@ class Panel(ipywidgets.VBox):
         return f"{type(self).__name__}({self.picture.name})"
 
     def _repr_mimebundle_(self, **kwargs):
-        """The live widget, and the still picture for where there is no kernel."""
+        """The live widget, and the still picture for where there is no kernel.
+
+        The metadata are also those of a control: with them Colab loads what it is made of, which no box asks for.
+        """
         bundle = super()._repr_mimebundle_(**kwargs)
         data, metadata = self.picture.still(**self.state)._repr_mimebundle_()
+        for control in self.controls.values():
+            _, loading = control._repr_mimebundle_() or ({}, {})
+            metadata |= loading
         return {**(bundle or {}), "image/png": data["image/png"]}, metadata
-
-
-def _row(widgets):
-    """Widgets side by side, in as many lines as the page needs."""
-    return ipywidgets.Box(widgets, layout=ipywidgets.Layout(flex_flow="row wrap", max_width="100%"))

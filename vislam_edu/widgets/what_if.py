@@ -67,7 +67,6 @@ class WhatIf(ipywidgets.VBox):
         return f"WhatIf({self.explorer!r})"
 
     def _repr_mimebundle_(self, **kwargs):
-        """The live widget, and the explorer's still picture for where there is no kernel."""
-        bundle = super()._repr_mimebundle_(**kwargs)
-        data, metadata = self.explorer.still()._repr_mimebundle_()
-        return {**(bundle or {}), "image/png": data["image/png"]}, metadata
+        """The live widget, with the explorer's still picture and metadata, see `Panel`."""
+        data, metadata = self.explorer._repr_mimebundle_(**kwargs)
+        return {**data, **(super()._repr_mimebundle_(**kwargs) or {})}, metadata
