@@ -157,8 +157,9 @@ def filter_update(world_T_imu, landmarks, covariance, rows, pixels, camera, nois
     """Steps 3 to 5: the whole state corrected by the measurements of one frame, to first order.
 
     landmarks : (n, 3), m, world. covariance : (3n+6, 3n+6). pixels : (m, 4); measurement i shows landmark rows[i].
-    camera : `StereoCamera` with `observe`, `landmark_jacobian` and `pose_jacobian`. noise.pixel_covariance : (4, 4).
-    Returns world_T_imu, landmarks and covariance.
+    camera : `StereoCamera`; of (world_T_imu, landmark), `observe` returns the pixels and whether it is in front of the
+    camera, `landmark_jacobian` (4, 3), `pose_jacobian` (4, 6). noise.pixel_covariance : (4, 4). Returns world_T_imu,
+    landmarks and covariance.
     """
     return _updated(world_T_imu, landmarks, covariance, rows, pixels, camera, noise)
 
@@ -247,9 +248,10 @@ def _born(T, landmarks, P, pixels, camera, noise, point=None, cross=True, C=None
 def filter_birth(world_T_imu, landmarks, covariance, pixels, camera, noise):
     """A new landmark joins as the last of the landmarks, correlated with the pose that saw it.
 
-    landmarks : (n, 3), m, world. covariance : (3n+6, 3n+6). pixels : (4,). camera : `StereoCamera` with `triangulate`,
-    `triangulation_covariance(point_cam, sigma_px)` (3, 3) in the camera frame, and `imu_T_cam`. noise.sigma_px : px.
-    Returns landmarks (n+1, 3) and covariance (3n+9, 3n+9).
+    landmarks : (n, 3), m, world. covariance : (3n+6, 3n+6). pixels : (4,). camera : `StereoCamera`;
+    `triangulate(pixels)` returns point_cam (3,), m, and whether it can be used,
+    `triangulation_covariance(point_cam, sigma_px)` (3, 3) is in the camera frame too; `imu_T_cam` (4, 4).
+    noise.sigma_px : px. Returns landmarks (n+1, 3) and covariance (3n+9, 3n+9).
     """
     return _born(world_T_imu, landmarks, covariance, pixels, camera, noise)
 
