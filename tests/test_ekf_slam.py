@@ -142,8 +142,16 @@ def test_steps_say_what_their_docstring_promises(name):
         where = np.searchsorted(seen, step.innovation.ids)
         np.testing.assert_array_equal(step.innovation.measured, pixels[where])
         assert len(step.innovation.accepted) == len(step.innovation.nis) == len(step.innovation.ids)
+        residual = step.innovation.residual
+        np.testing.assert_allclose(step.innovation.nis, [r @ np.linalg.inv(S) @ r for r, S in zip(
+            residual, step.innovation.covariance)], rtol=1e-8)
+        assert type(step.prior) is type(step.posterior)
+        for before, after in zip(vars(step.prior).values(), vars(step.posterior).values()):
+            assert before.ndim == after.ndim
+            assert before.dtype == after.dtype
         assert step.born.dtype.kind == step.retired.dtype.kind == "i"
         assert not set(step.born) & within
+        assert set(step.retired) <= within
         within = (within | set(step.born)) - set(step.retired)
         if hasattr(step.posterior, "ids"):
             assert within | set(step.retired) >= set(step.posterior.ids)

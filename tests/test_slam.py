@@ -7,7 +7,7 @@ import pytest
 import reference
 from scipy.linalg import expm
 
-from vislam_edu import blockwise, ekf_slam, simulate, window_slam
+from vislam_edu import blockwise, ekf_slam, se3, simulate, window_slam
 from vislam_edu.error_state import RightInvariant, RightPerturbation
 from vislam_edu.noise import Noise
 
@@ -20,14 +20,13 @@ def small():
     return simulate.street_loop(seed=3, frames=60, visible=10, outlier_share=0.1)
 
 
-@pytest.mark.parametrize(("frame", "plain_frame"), [(window_slam.correlated, ekf_slam.correlated),
-                                                    (window_slam.as_report, ekf_slam.as_report)])
-def test_agrees_with_the_plain_filter_over_all_frames(small, frame, plain_frame):
+def agree(drive, frame, plain_frame, min_disparity):
+    """The fast and the plain filter, every number of every frame; returns how many measurements the gate kept out."""
     rejected = 0
-    for step, plain in zip(window_slam.run(small, NOISE, process_frame=frame), ekf_slam.run(small, NOISE, plain_frame),
-                           strict=True):
+    for step, plain in zip(window_slam.run(drive, NOISE, process_frame=frame, min_disparity=min_disparity),
+                           ekf_slam.run(drive, NOISE, plain_frame, min_disparity=min_disparity), strict=True):
         a, b = step.posterior, plain.posterior
-        rows = np.array([list(b.ids).index(i) for i in a.ids])
+        rows = np.array([list(b.ids).index(i) for i in a.ids], dtype=int)
         index = np.concatenate([(3 * rows[:, None] + np.arange(3)).ravel(), np.arange(-6, 0)])
         np.testing.assert_allclose(a.world_T_imu, b.world_T_imu, atol=1e-9)
         np.testing.assert_allclose(a.landmarks, b.landmarks[rows], atol=1e-9)
@@ -36,7 +35,41 @@ def test_agrees_with_the_plain_filter_over_all_frames(small, frame, plain_frame)
         np.testing.assert_allclose(step.innovation.nis, plain.innovation.nis, rtol=1e-6)
         np.testing.assert_array_equal(step.born, plain.born)
         rejected += (~step.innovation.accepted).sum()
-    assert rejected > 0, "the gate was never at work, so this says nothing about it"
+    return rejected
+
+
+BOTH_WAYS = pytest.mark.parametrize(("frame", "plain_frame"), [(window_slam.correlated, ekf_slam.correlated),
+                                                               (window_slam.as_report, ekf_slam.as_report)])
+
+
+@BOTH_WAYS
+def test_agrees_with_the_plain_filter_over_all_frames(small, frame, plain_frame):
+    assert agree(small, frame, plain_frame, 1.0) > 0, "the gate was never at work, so this says nothing about it"
+
+
+@BOTH_WAYS
+def test_agrees_with_the_plain_filter_where_landmarks_are_single_and_wait(small, frame, plain_frame):
+    """Frames with one known landmark, frames with one new one, and landmarks that are too far when first seen."""
+    few, least = small.subsample(3), 12.0
+    steps = list(ekf_slam.run(few, NOISE, plain_frame, min_disparity=least))
+    assert 1 in [len(step.innovation.ids) for step in steps]
+    assert 1 in [len(step.born) for step in steps]
+    waited = [i for step in steps for i in step.born if step.k > few.first_seen[i]]
+    assert waited, "no landmark waited for a better view"
+    for i in waited:
+        k = few.first_seen[i]
+        pixels = few.observed(k)[1][few.observed(k)[0] == i][0]
+        assert pixels[0] - pixels[2] <= least
+    agree(few, frame, plain_frame, least)
+
+
+def test_a_run_goes_on_from_one_of_its_steps_and_starts_where_it_is_put(small):
+    there = se3.exp(np.array([3.0, -2.0, 1.0, 0.1, -0.2, 0.3]))
+    steps = list(window_slam.run(small, NOISE, world_T_imu=there))
+    np.testing.assert_array_equal(steps[0].prior.world_T_imu, there)
+    rest = list(window_slam.run(small, NOISE, world_T_imu=there, after=steps[20]))
+    assert [step.k for step in rest] == list(range(21, small.n_frames))
+    np.testing.assert_array_equal(rest[-1].posterior.covariance, steps[-1].posterior.covariance)
 
 
 def test_the_order_of_the_measurements_does_not_matter(small):
