@@ -125,10 +125,11 @@ def test_the_belief_cannot_be_written_to(belief):
 
 # --- what every filter reports of a frame ----------------------------------------------------------------------
 
-@pytest.mark.parametrize("name", ["mapping", "odometry", "ekf_slam", "window_slam"])
+@pytest.mark.parametrize("name", ["mapping", "mapping as the report", "odometry", "ekf_slam", "window_slam"])
 def test_steps_say_what_their_docstring_promises(name):
     drive = simulate.street_loop(seed=2, frames=12, visible=8)
     runs = {"mapping": lambda: mapping.run(drive, NOISE, drive.true_world_T_imu),
+            "mapping as the report": lambda: mapping.run(drive, NOISE, drive.true_world_T_imu, mapping.as_report),
             "odometry": lambda: odometry.localize(drive, NOISE, drive.true_landmarks),
             "ekf_slam": lambda: ekf_slam.run(drive, NOISE),
             "window_slam": lambda: window_slam.run(drive, NOISE)}

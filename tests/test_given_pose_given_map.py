@@ -116,6 +116,7 @@ def test_without_any_measurement_the_pose_is_dead_reckoned(drive):
     blind = drive.keep_landmarks(np.zeros(drive.n_landmarks, bool))
     reckoned = odometry.dead_reckon(drive, NOISE)
     for step in odometry.localize(blind, NOISE, np.empty((0, 3))):
+        assert step.time == reckoned.times[step.k]
         np.testing.assert_array_equal(step.posterior.world_T_imu, reckoned.world_T_imu[step.k])
         np.testing.assert_array_equal(step.posterior.covariance, reckoned.covariance[step.k])
 

@@ -58,7 +58,7 @@ def _undo_update(lam: np.ndarray, Lam: np.ndarray, step: Step,
     H = window_slam.linearise(prior, ids, settings)[0].blocks(len(prior.ids))
     residual = stereo.reduce_rows(step.innovation.residual[accepted])
     HP = blockwise.times_H(prior.covariance, *H)
-    S = blockwise.times_H(np.ascontiguousarray(HP.T), *H)
+    S = blockwise.times_H(HP.T, *H)
     S[np.diag_indices(len(S))] += np.tile(settings.noise.sigma_px**2 * stereo.ROW_VARIANCE, len(ids))
     L = cholesky(S, lower=True, check_finite=False)
 
