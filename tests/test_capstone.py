@@ -9,7 +9,7 @@ import pytest
 
 from vislam_edu import ekf_slam, se3, simulate
 from vislam_edu.exercises import EXERCISES, capstone, chapter13, grading, report
-from vislam_edu.exercises.verdict import NOT_WRITTEN, RIGHT, WRONG
+from vislam_edu.exercises.verdict import NOT_WRITTEN, RIGHT, WRONG, judge
 from vislam_edu.kalman import Belief
 from vislam_edu.noise import Noise
 from vislam_edu.widgets import Explorer
@@ -124,6 +124,13 @@ def test_a_stage_that_raises_or_returns_too_little_gets_a_sentence(capsys):
     assert "ValueError" in capsys.readouterr().out
     assert capstone.compare("filter_update", only_the_pose) is None
     assert "landmarks" in capsys.readouterr().out
+
+
+def test_a_filter_that_returns_its_last_state_is_told_to_yield_each():
+    def last(drive, noise):
+        return list(filled()["filter_run"](drive, noise))[-1]
+
+    assert "it must yield the four parts of a state after each frame" in judge(EXERCISES["filter_run"], last).text
 
 
 # --- what is not right must not hang, nor fill memory ---------------------------------------------------------
