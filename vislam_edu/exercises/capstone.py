@@ -281,7 +281,8 @@ class Score:
                 *(f"{figures.ate:8.2f}" for figures in one.all), *(f"{_short(figures.nees):>8}" for figures in one.all),
                 f"{100 * one.mine.in_gate:8.1f}{100 * one.agreed.in_gate:8.1f}"]))
         lines += [f"{one.drive}: {'; '.join(one.faults) or 'like the agreed filter, or better'}" for one in self.drives]
-        return "\n".join([*lines, f"on one drive, at least 99 % of honest filters have a NEES in [{low:.1f}, {high:.1f}]"])
+        lines.append(f"on one drive, at least 99 % of honest filters have a NEES in [{low:.1f}, {high:.1f}]")
+        return "\n".join(lines)
 
     @property
     def figures(self) -> dict:
