@@ -9,7 +9,7 @@ import pytest
 
 from vislam_edu import ekf_slam, se3, simulate
 from vislam_edu.exercises import EXERCISES, capstone, chapter13, grading, report
-from vislam_edu.exercises.verdict import NOT_WRITTEN, RIGHT, WRONG
+from vislam_edu.exercises.verdict import NOT_WRITTEN, RIGHT, WRONG, judge
 from vislam_edu.kalman import Belief
 from vislam_edu.noise import Noise
 from vislam_edu.widgets import Explorer
@@ -99,13 +99,38 @@ def test_the_first_frame_and_entry_that_part_are_those_that_were_changed():
     assert found.mine[4, 5] == pytest.approx(1.5 * found.package[4, 5])
 
 
-def test_the_picture_frames_the_entry_in_both_matrices(capsys):
+def test_the_picture_frames_the_entry_in_both_matrices_and_their_difference(capsys):
     [wrong] = [m.function for m in EXERCISES["filter_predict"].mistakes if m.name == "cross-covariances not propagated"]
     figure = capstone.compare("filter_predict", wrong)
     assert "entry [0, 3]" in capsys.readouterr().out
     frames = [patch.get_xy() for patch in figure.axes[0].patches]
-    assert frames == [(2.5, -0.5), (2.5 + 10, -0.5)]  # one landmark: matrices of 9 columns, one column apart
+    assert frames == [(2.5, -0.5), (2.5 + 10, -0.5), (2.5 + 20, -0.5)]  # matrices of 9 columns, one column apart
+    apart = np.asarray(figure.axes[0].images[0].get_array())[:, 20:]  # of this mistake in the cross terms alone
+    assert np.abs(apart).max() == 1
+    assert not apart[:3, :3].any()
+    assert not apart[3:, 3:].any()
+    assert apart[:3, 3:].all()
     assert capstone.compare("filter_predict", predict) is None
+
+
+def test_a_stage_that_raises_or_returns_too_little_gets_a_sentence(capsys):
+    def unpacked(T, landmarks, P, rows, pixels, camera, noise):
+        return np.zeros(4) + camera.observe(T, landmarks[rows])
+
+    def only_the_pose(T, landmarks, P, rows, pixels, camera, noise):
+        return T
+
+    assert capstone.compare("filter_update", unpacked) is None
+    assert "ValueError" in capsys.readouterr().out
+    assert capstone.compare("filter_update", only_the_pose) is None
+    assert "landmarks" in capsys.readouterr().out
+
+
+def test_a_filter_that_returns_its_last_state_is_told_to_yield_each():
+    def last(drive, noise):
+        return list(filled()["filter_run"](drive, noise))[-1]
+
+    assert "it must yield the four parts of a state after each frame" in judge(EXERCISES["filter_run"], last).text
 
 
 # --- what is not right must not hang, nor fill memory ---------------------------------------------------------

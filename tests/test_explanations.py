@@ -124,6 +124,15 @@ def test_two_mistakes_in_two_results_are_both_named():
     assert "covariance as one gets" in text
 
 
+def test_an_error_is_explained_by_the_same_error_only():
+    def answer(T, landmarks, P, rows, pixels, camera, noise):  # `observe` returns two arrays
+        return np.zeros(4) + camera.observe(T, landmarks[rows[0]])
+
+    text = judge(EXERCISES["filter_update"], answer).text
+    assert "ValueError" in text
+    assert "Your result is what one gets" not in text
+
+
 # --- beginners' slips -------------------------------------------------------------------------------------
 
 def forgotten_return(omega):

@@ -28,7 +28,7 @@ from .chapter13 import NOISE, filter_run
 from .check import VERDICTS
 from .comparing import number
 from .exercise import EXERCISES, find
-from .running import copied, error_message, within
+from .running import copied, error_message, outcome_of, within
 from .verdict import NOT_WRITTEN, RIGHT, WRONG, Verdict, judge
 
 STAGES = ("filter_predict", "filter_update", "filter_birth", "filter_frame", "filter_run")
@@ -281,7 +281,8 @@ class Score:
                 *(f"{figures.ate:8.2f}" for figures in one.all), *(f"{_short(figures.nees):>8}" for figures in one.all),
                 f"{100 * one.mine.in_gate:8.1f}{100 * one.agreed.in_gate:8.1f}"]))
         lines += [f"{one.drive}: {'; '.join(one.faults) or 'like the agreed filter, or better'}" for one in self.drives]
-        return "\n".join([*lines, f"the NEES of one drive lies in [{low:.1f}, {high:.1f}] with 99 %"])
+        lines.append(f"on one drive, at least 99 % of honest filters have a NEES in [{low:.1f}, {high:.1f}]")
+        return "\n".join(lines)
 
     @property
     def figures(self) -> dict:
@@ -344,14 +345,13 @@ def first_parting(name: str, function: Callable) -> Parting | str:
     """
     exercise = find(name)
     for label, arguments in exercise.inputs():
-        try:
-            result = function(*map(copied, arguments))
-            result = exercise.reading(result) if exercise.reading else result
-        except NotImplementedError:
-            result = None
-        if result is None:
+        outcome = outcome_of(exercise, function, arguments)
+        if outcome.blank:
             return f"{name}: not written yet"
-        for output, mine, package in zip(exercise.outputs, result, exercise.expected(*map(copied, arguments))):
+        if outcome.values is None:
+            return f"{name}, {label}:\n{error_message(outcome.error)}"
+        expected = exercise.expected(*map(copied, arguments))
+        for output, mine, package in zip(exercise.outputs, outcome.values, expected):
             mine, package = np.asarray(mine, float), np.asarray(package, float)
             if mine.shape != package.shape:
                 return f"{name}, {label}: {output} has shape {mine.shape}, the package's {package.shape}"
@@ -376,6 +376,7 @@ def _parting(where, mine, package, tolerance) -> Parting | None:
 def compare(name: str, function: Callable):
     """A figure of the first matrix in which a stage is not the package's, its first wrong entry framed.
 
+    Each of the three matrices (the stage's, the package's, their difference) has a colour scale of its own.
     Prints why and returns None where nothing can be compared.
     """
     found = first_parting(name, function)
@@ -386,14 +387,21 @@ def compare(name: str, function: Callable):
     print(style.on_a_page(f"{name}, {found.where}, entry [{i}, {j}]: {number(found.mine[i, j])}, "
                           f"the package has {number(found.package[i, j])}"))
     figure, axes = drawing.new_figure(height=2.6)
-    both = np.hstack([found.mine, np.full((len(found.mine), 1), np.nan), found.package])
-    size = np.nanmax(np.abs(both))
-    axes.imshow(both / size, cmap="RdBu_r", norm=_norm(), aspect="auto")
-    for left in (0, found.mine.shape[1] + 1):
+    gap, columns = np.full((len(found.mine), 1), np.nan), found.mine.shape[1]
+    apart = found.mine - found.package
+    axes.imshow(np.hstack([_scaled(found.mine), gap, _scaled(found.package), gap, _scaled(apart)]), cmap="RdBu_r",
+                norm=_norm(), aspect="auto")
+    lefts = (columns + 1) * np.arange(3)
+    for left in lefts:
         axes.add_patch(_frame(left + j, i))
-    axes.set(xticks=[(found.mine.shape[1] - 1) / 2, found.mine.shape[1] * 1.5 + 0.5], xticklabels=["yours", "package"])
+    axes.set(xticks=lefts + (columns - 1) / 2, xticklabels=["yours", "package", "yours - package"])
     axes.grid(False)
     return drawing.finish(figure, f"{name}: the first entry that differs, [{i}, {j}], is framed")
+
+
+def _scaled(matrix):
+    """A matrix divided by its largest entry, a matrix of zeros as it is."""
+    return matrix / (np.nanmax(np.abs(matrix)) or 1.0)
 
 
 def _norm():

@@ -13,6 +13,7 @@ from ..noise import Noise
 from ..simulate import first_steps
 from . import inputs
 from .exercise import exercise
+from .running import Unreadable
 
 NOISE = Noise()
 MIN_DISPARITY = 1.0  # px, below it a landmark waits for a better view
@@ -157,8 +158,9 @@ def filter_update(world_T_imu, landmarks, covariance, rows, pixels, camera, nois
     """Steps 3 to 5: the whole state corrected by the measurements of one frame, to first order.
 
     landmarks : (n, 3), m, world. covariance : (3n+6, 3n+6). pixels : (m, 4); measurement i shows landmark rows[i].
-    camera : `StereoCamera` with `observe`, `landmark_jacobian` and `pose_jacobian`. noise.pixel_covariance : (4, 4).
-    Returns world_T_imu, landmarks and covariance.
+    camera : `StereoCamera`; of (world_T_imu, landmark), `observe` returns the pixels and whether it is in front of the
+    camera, `landmark_jacobian` (4, 3), `pose_jacobian` (4, 6). noise.pixel_covariance : (4, 4). Returns world_T_imu,
+    landmarks and covariance.
     """
     return _updated(world_T_imu, landmarks, covariance, rows, pixels, camera, noise)
 
@@ -223,6 +225,15 @@ def _(world_T_imu, landmarks, covariance, rows, pixels, camera, noise):
     return T, m, block_diag(*(P[3 * i:3 * i + 3, 3 * i:3 * i + 3] for i in range(n)), P[3 * n:, 3 * n:])
 
 
+@filter_update.mistake("columns of another landmark", """Measurement i shows landmark rows[i]: its block stands in the
+columns 3 rows[i] to 3 rows[i] + 3 of H, not 3 i.""")
+def _(world_T_imu, landmarks, covariance, rows, pixels, camera, noise):
+    seen = landmarks[rows]
+    H = ekf_slam.joint_jacobian(camera.landmark_jacobian(world_T_imu, seen), camera.pose_jacobian(world_T_imu, seen),
+                                np.arange(len(rows)), len(landmarks))
+    return _updated(world_T_imu, landmarks, covariance, rows, pixels, camera, noise, H=H)
+
+
 # --- birth ------------------------------------------------------------------------------------------------
 
 
@@ -247,9 +258,10 @@ def _born(T, landmarks, P, pixels, camera, noise, point=None, cross=True, C=None
 def filter_birth(world_T_imu, landmarks, covariance, pixels, camera, noise):
     """A new landmark joins as the last of the landmarks, correlated with the pose that saw it.
 
-    landmarks : (n, 3), m, world. covariance : (3n+6, 3n+6). pixels : (4,). camera : `StereoCamera` with `triangulate`,
-    `triangulation_covariance(point_cam, sigma_px)` (3, 3) in the camera frame, and `imu_T_cam`. noise.sigma_px : px.
-    Returns landmarks (n+1, 3) and covariance (3n+9, 3n+9).
+    landmarks : (n, 3), m, world. covariance : (3n+6, 3n+6). pixels : (4,). camera : `StereoCamera`;
+    `triangulate(pixels)` returns point_cam (3,), m, and whether it can be used,
+    `triangulation_covariance(point_cam, sigma_px)` (3, 3) is in the camera frame too; `imu_T_cam` (4, 4).
+    noise.sigma_px : px. Returns landmarks (n+1, 3) and covariance (3n+9, 3n+9).
     """
     return _born(world_T_imu, landmarks, covariance, pixels, camera, noise)
 
@@ -275,6 +287,22 @@ def _(world_T_imu, landmarks, covariance, pixels, camera, noise):
     return np.vstack([landmarks, landmark]), P
 
 
+@filter_birth.mistake("covariance not turned", """`triangulation_covariance` is in the camera frame. C belongs to s, in
+the IMU frame: turn it by the rotation of imu_T_cam on both sides.""")
+def _(world_T_imu, landmarks, covariance, pixels, camera, noise):
+    C = camera.triangulation_covariance(camera.triangulate(pixels)[0], noise.sigma_px)
+    return _born(world_T_imu, landmarks, covariance, pixels, camera, noise, C=C)
+
+
+@filter_birth.mistake("orders mixed", """The new landmark is the last of the landmarks, so its rows and columns stand
+before those of the pose.""")
+def _(world_T_imu, landmarks, covariance, pixels, camera, noise):
+    landmarks, P = _born(world_T_imu, landmarks, covariance, pixels, camera, noise)
+    n = landmarks.size
+    order = np.r_[:n - 3, n:n + 6, n - 3:n]
+    return landmarks, P[np.ix_(order, order)]
+
+
 @filter_birth.mistake("prior 2 I", """The report's 2 I says neither how well the point was triangulated nor how well the
 pose is known.""")
 def _(world_T_imu, landmarks, covariance, pixels, camera, noise):
@@ -295,8 +323,11 @@ def only(state, keep):
     return T, landmarks[keep], ids[keep], P[np.ix_(index, index)]
 
 
-def frame_of(update, birth, again=False, retire=True):
-    """The frame made of an update and a birth; again : whether a new landmark's first measurement is used twice."""
+def frame_of(update, birth, again=False, retire=True, least=MIN_DISPARITY):
+    """The frame made of an update and a birth; again : whether a new landmark's first measurement is used twice.
+
+    least : px, the disparity that a new landmark has to exceed.
+    """
     def frame(state, ids, pixels, camera, noise):
         if retire:
             state = only(state, np.isin(state[2], ids))
@@ -306,7 +337,7 @@ def frame_of(update, birth, again=False, retire=True):
         if len(rows):
             T, landmarks, P = update(T, landmarks, P, rows, pixels[old], camera, noise)
         for i, z in zip(ids[~old], pixels[~old]):
-            if z[0] - z[2] > MIN_DISPARITY:
+            if z[0] - z[2] > least:
                 landmarks, P = birth(T, landmarks, P, z, camera, noise)
                 known = np.append(known, i)
                 if again:
@@ -351,6 +382,12 @@ def _(state, ids, pixels, camera, noise):
     return frame_of(_updated, _born, retire=False)(state, ids, pixels, camera, noise)
 
 
+@filter_frame.mistake("disparity not checked", """A landmark with next to no disparity has next to no depth: it waits
+until u_left - u_right is above 1 px.""")
+def _(state, ids, pixels, camera, noise):
+    return frame_of(_updated, _born, least=0.0)(state, ids, pixels, camera, noise)
+
+
 @filter_frame.mistake("new ones joined before the update", """That is honest as well, as long as each measurement is
 used once, but it is another filter: here the known ones correct the pose first, and new ones join the better pose.""")
 def _(state, ids, pixels, camera, noise):
@@ -384,6 +421,8 @@ def drives(rng):
 def poses_and_covariances(result):
     """What is compared of a filter's states: the poses (T, 4, 4) and their covariances (T, 6, 6)."""
     states = list(result)
+    if not all(isinstance(state, tuple | list) and len(state) == 4 for state in states):
+        raise Unreadable("it must yield the four parts of a state after each frame")
     return (np.array([state[0] for state in states]), np.array([np.asarray(state[3])[-6:, -6:] for state in states]))
 
 

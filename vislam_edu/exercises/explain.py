@@ -71,7 +71,9 @@ class Search:
 
     def _alike(self, i, outcome) -> bool:
         error = self.outcomes[i].error
-        return error is not None and type(error) is type(outcome.error) and not isinstance(error, TypeError | NameError)
+        if error is None or isinstance(error, TypeError | NameError):
+            return False
+        return type(error) is type(outcome.error) and str(error) == str(outcome.error)  # one type has many causes
 
     def _confirm(self, words, function, fits) -> None:
         for i, (_, arguments) in enumerate(self.cases[:len(self.outcomes)]):

@@ -1,7 +1,8 @@
-"""Pictures of chapters 11 and 12: sparse matrices, paths of iterations, a loop before and after it is closed."""
+"""Pictures of chapters 11 and 12: sparse matrices, errors of iterations, a loop before and after it is closed."""
 
 import numpy as np
 
+from .. import metrics
 from . import drawing, style
 
 
@@ -26,18 +27,19 @@ def sparsity(matrices, title):
 
 
 def iterations(drive, paths, title):
-    """Paths from the first iteration (light) to the last (dark), and the truth. paths : list of (T, 4, 4)."""
-    shown = [p[:, :3, 3] for p in paths]
-    if drive.has_truth:
-        shown.append(drive.true_world_T_imu[:, :3, 3])
-    figure, axes = drawing.new_map(drawing.view_around(*shown, margin=10.0))
-    drawing.draw_truth(axes, drive)
+    """Position error through time, from the first iteration (light) to the last (dark). Returns a Figure.
+
+    drive : has truth. paths : list of (T, 4, 4).
+    """
+    figure, axes = drawing.new_figure(2.6)
     for i, path in enumerate(paths):
         last = i == len(paths) - 1
         label = "start: dead reckoning" if i == 0 else "last iteration" if last else f"iteration {i}"
-        colour = style.COLOURS["dead_reckoning"] if i == 0 else style.COLOURS["batch"]
-        axes.plot(path[:, 0, 3], path[:, 1, 3], color=colour, alpha=0.3 + 0.7 * i / max(1, len(paths) - 1),
-                  linestyle="-" if last else ":", label=label)
+        looks = {"color": style.COLOURS["batch"], "alpha": 0.3 + 0.7 * i / max(1, len(paths) - 1),
+                 "linestyle": "-" if last else ":"} if i else {"color": style.COLOURS["dead_reckoning"]}
+        axes.plot(drive.times - drive.times[0], metrics.position_errors(drive.true_world_T_imu, path), label=label,
+                  **looks)
+    axes.set(xlabel="time since start (s)", ylabel="position error (m)")
     return drawing.finish(figure, title)
 
 
