@@ -1,5 +1,6 @@
 """The explorer in a real browser, in a page without a kernel: its numbers read back from the page."""
 
+import itertools
 import os
 
 import numpy as np
@@ -96,6 +97,16 @@ def test_map_shows_the_landmarks_and_ellipses_of_the_belief(opened, steps):
     inset = shown["inset"]
     np.testing.assert_allclose(inset["sigmas"][2], np.sqrt(belief.pose_covariance[5, 5]), rtol=1e-4)
     np.testing.assert_allclose(inset["before"][:2], np.sqrt(np.diag(steps[21].prior.pose_covariance)[:2]), rtol=1e-4)
+
+
+def test_numbers_of_landmarks_do_not_cover_each_other_and_the_chosen_one_is_there(opened):
+    shown = state(opened("joint"))
+    numbers = shown["map"][0]["numbers"]
+    assert shown["chosen"] == numbers[0]["id"]
+    assert len(shown["map"][0]["landmarks"]) / 2 < len(numbers) < len(shown["map"][0]["landmarks"])
+    for a, b in itertools.combinations(numbers, 2):
+        assert (a["right"] <= b["left"] or b["right"] <= a["left"]
+                or a["bottom"] <= b["top"] or b["bottom"] <= a["top"]), (a, b)
 
 
 @pytest.mark.parametrize("reading", ["correlation", "covariance", "change"])

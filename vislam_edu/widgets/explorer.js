@@ -284,7 +284,7 @@ function drawMap(canvas, look, history, run) {
 
   const chosen = shot.ids.indexOf(look.chosen);
   if (chosen >= 0 && run.matrix) shown.lines = drawCorrelationLines(ctx, shot, chosen, X, Y, look);
-  const measured = new Set(seen.map((s) => s.id));
+  const measured = new Set(seen.map((s) => s.id)), numbered = [];
   for (let j = 0; j < shot.n; j++) {
     const id = shot.ids[j], x = X(shot.landmark[3 * j]), y = Y(shot.landmark[3 * j + 1]);
     const ellipse = ellipseOf(...shot.block.subarray(3 * j, 3 * j + 3));
@@ -297,9 +297,7 @@ function drawMap(canvas, look, history, run) {
     ctx.arc(x, y, 2, 0, 7);
     ctx.fill();
     if (shot.born.includes(id)) ring(ctx, x, y, c.accepted);
-    if (shot.n <= 24 || measured.has(id) || id === look.chosen) {
-      label(ctx, String(id), x + 4, y - 4, id === look.chosen ? c.measured : look.ink, look.paper);
-    }
+    if (shot.n <= 24 || measured.has(id) || id === look.chosen) numbered.push({ id, x, y });
     shown.landmarks.push({ id, x, y, m: [shot.landmark[3 * j], shot.landmark[3 * j + 1]], axes: [ellipse.a, ellipse.b] });
   }
   if (!shot.n) {
@@ -307,9 +305,10 @@ function drawMap(canvas, look, history, run) {
       const at = history.ids.indexOf(s.id), x = X(history.truth.landmark[2 * at]), y = Y(history.truth.landmark[2 * at + 1]);
       shown.landmarks.push({ id: s.id, x, y });
       if (s.id === look.chosen) ring(ctx, x, y, c.measured);
-      label(ctx, String(s.id), x + 4, y - 4, look.ink, look.paper);
+      numbered.push({ id: s.id, x, y });
     }
   }
+  shown.numbers = drawNumbers(ctx, numbered, look, c.measured);
   if (Number.isFinite(shot.pose[0])) drawCar(ctx, X(shot.pose[0]), Y(shot.pose[1]), shot.pose[3], look);
   mapLegend(ctx, look, history, place.k, w, h);
   if (Number.isFinite(shot.inset[8]) && Number.isFinite(shot.inset[0])) {
@@ -317,6 +316,19 @@ function drawMap(canvas, look, history, run) {
   }
   shown.pose = [...shot.pose];
   return shown;
+}
+
+/** The numbers of landmarks, the chosen one first; one that would cover another is left out. Returns their boxes. */
+function drawNumbers(ctx, landmarks, look, colour) {
+  const taken = [];
+  for (const { id, x, y } of [...landmarks].sort((a, b) => (b.id === look.chosen) - (a.id === look.chosen))) {
+    const box = { id, left: x + 4, right: x + 6 + ctx.measureText(id).width, top: y - 14, bottom: y - 3 };
+    if (taken.some((other) => box.left < other.right && other.left < box.right
+                              && box.top < other.bottom && other.top < box.bottom)) continue;
+    taken.push(box);
+    label(ctx, String(id), x + 4, y - 4, id === look.chosen ? colour : look.ink, look.paper);
+  }
+  return taken;
 }
 
 /** Side of the square in which the pose is magnified, px. */
