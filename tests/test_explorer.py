@@ -12,14 +12,14 @@ from PIL import Image
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2, multivariate_normal
 
-from vislam_edu import kalman, mapping, odometry, se3, simulate, window_slam
+from vislam_edu import kalman, mapping, odometry, plots, se3, simulate, window_slam
 from vislam_edu.error_state import RightInvariant, RightPerturbation
 from vislam_edu.motion import TwistAndBias
 from vislam_edu.noise import Noise
 from vislam_edu.plots import style
 from vislam_edu.studies import pipeline
 from vislam_edu.widgets import BOTH, Explorer, PathBelief, WhatIf, history, packing
-from vislam_edu.widgets.explorer_still import Run
+from vislam_edu.widgets.explorer_still import Run, leave_out_covering
 from vislam_edu.widgets.what_if import AS_IT_WAS, WHAT_IF
 
 NOISE = Noise()
@@ -302,6 +302,14 @@ def test_colours_of_both_themes_are_those_of_the_style(explorer):
     assert {key: colours["light"][key] for key in style.COLOURS} == style.COLOURS
     assert set(colours["dark"]) == set(colours["light"])
     assert [run.role for run in unpacked(explorer)] == ["slam", "invariant"]
+
+
+def test_numbers_in_the_still_do_not_cover_each_other_and_the_chosen_one_stays():
+    figure, axes = plots.new_figure()
+    numbers = [axes.annotate(name, (x, 0.5)) for name, x in (("1", 0.1), ("22", 0.101), ("3", 0.5), ("22", 0.9))]
+    figure.canvas.draw()
+    leave_out_covering(numbers, "22")
+    assert [number.get_visible() for number in numbers] == [False, True, True, True]
 
 
 def test_representation_is_fixed_and_holds_a_still_picture_with_words(explorer):

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.transforms import Bbox
 
 from ..plots import style
 from ..plots.style import COLOURS, ellipse_points
@@ -13,6 +14,7 @@ from .packing import ONE, get
 AXES = (("longest axis", COLOURS["predicted"], "-"), ("middle axis", COLOURS["mapping"], "--"),
         ("shortest axis", COLOURS["slam"], ":"))
 SIZE = (10.0, 6.0)  # inches at 100 dots per inch
+NUMBERED = 24  # landmarks at most that all get their numbers; of more only the chosen one
 
 
 class Run:
@@ -66,13 +68,17 @@ def draw(header: dict[str, Any], data: bytes, i: int, landmark: int, show: int) 
         figure = Figure(figsize=SIZE, dpi=100, layout="constrained")
         top, bottom = np.asarray(figure.subfigures(2, 1, height_ratios=(1.5, 1)))
         matrix = [run for run in runs if "sigma" in run]
-        for axes, run in zip(top.subplots(1, len(runs) + len(matrix), squeeze=False)[0], runs):
+        maps = top.subplots(1, len(runs) + len(matrix), squeeze=False)[0][:len(runs)]
+        for axes, run in zip(maps, runs):
             draw_map(axes, header, data, run, i, landmark, len(runs) > 1)
         for axes, run in zip(top.axes[len(runs):], matrix):
             draw_matrix(axes, run, i, landmark)
         panels = [draw_landmark] * any(run.first[-1] > 0 for run in runs) + [draw_series] * bool(runs[0].series)
         for axes, panel in zip(bottom.subplots(1, max(len(panels), 1), squeeze=False)[0], panels):
             panel(axes, header, runs, i, landmark)
+        figure.draw_without_rendering()  # only now is it known where the numbers of the landmarks stand
+        for axes in maps:
+            leave_out_covering(axes.texts, str(landmark))
         file = io.BytesIO()
         figure.savefig(file, format="png", **style.PNG)
     words = " ".join(f"{run.name}: {run.captions[i]}." for run in runs)
@@ -94,11 +100,21 @@ def draw_map(axes, header, data, run, i, landmark, several):
     for j, place, outline in zip(ids, places, ellipse_points(places[:, :2], run.ellipses(i))):
         colour = COLOURS["measured"] if j == landmark else COLOURS["posterior" if header["updated"][i] else "prior"]
         axes.plot(*outline.T, color=colour, lw=1.2)
-        axes.annotate(str(j), place[:2], xytext=(3, 3), textcoords="offset points", fontsize=8, color=colour)
+        if len(ids) <= NUMBERED or j == landmark:
+            axes.annotate(str(j), place[:2], xytext=(3, 3), textcoords="offset points", fontsize=8, color=colour)
     if np.isfinite(run.pose[i, 0]):
         axes.plot(*run.pose[i, :2], marker=(3, 0, np.degrees(run.pose[i, 3]) - 90), ms=10, mfc="white", mec="black")
     axes.set_aspect("equal", adjustable="datalim")
     axes.set_title(run.name if several else "Map from above (m), 95 % ellipses")
+
+
+def leave_out_covering(numbers, chosen):
+    """Hide each number (a Text) that would cover another one; the chosen one stays."""
+    taken: list[Bbox] = []
+    for number in sorted(numbers, key=lambda number: number.get_text() != chosen):
+        box = number.get_window_extent()
+        number.set_visible(not any(box.overlaps(other) for other in taken))
+        taken += [box] * number.get_visible()
 
 
 def draw_matrix(axes, run, i, landmark):
