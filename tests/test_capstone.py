@@ -57,6 +57,7 @@ def test_a_capstone_filled_from_ekf_slam_is_right_in_every_stage_and_scores_like
     for one in score.drives:
         assert one.mine.ate == pytest.approx(one.agreed.ate, rel=1e-6)
         assert one.mine.nees == pytest.approx(one.agreed.nees, rel=1e-5)
+        assert one.mine.sigma == pytest.approx(one.agreed.sigma, rel=1e-6)
 
 
 def test_the_packages_own_filter_scores_like_the_package():
@@ -81,6 +82,18 @@ def test_a_mistake_is_localised_to_the_stage_it_was_put_into(stage, mistake):
 def test_a_wrong_filter_scores_worse(stage, mistake):
     [wrong] = [m.function for m in EXERCISES[stage].mistakes if m.name == mistake]
     assert capstone.judged(filled(**{stage: wrong})["filter_run"], capstone.unseen(1)).faults
+
+
+def test_a_covariance_that_is_reported_too_large_is_seen_though_its_nees_is_good():
+    def inflated(drive, noise):
+        for T, landmarks, ids, P in filled()["filter_run"](drive, noise):
+            yield T, landmarks, ids, 4 * P
+
+    one = capstone.judged(inflated, capstone.unseen(1234))
+    low, high = capstone.nees_band()
+    assert low < one.mine.nees < high < one.agreed.nees
+    assert one.mine.sigma == pytest.approx(2 * one.agreed.sigma)
+    assert one.faults == ["sigma too large"]
 
 
 # --- where two results part ---------------------------------------------------------------------------------
