@@ -5,6 +5,8 @@ VISLAM_EDU_WHOLE=1 takes the whole of both, which is a matter of minutes; otherw
 
 import dataclasses
 import statistics
+import subprocess
+import sys
 import time
 from collections import Counter
 
@@ -208,6 +210,30 @@ def test_the_next_check_is_as_if_a_hostile_answer_had_never_run(answer, capsys):
     assert np.abs is absolute
     assert ("np.abs" in verdict.text) == (answer is rebind)
     assert judge(EXERCISES["so3_hat"], se3.so3_hat).right
+    assert sys.getrecursionlimit() < 10**5
+
+
+def test_a_recursion_that_catches_everything_does_not_end_python(tmp_path):
+    """It cannot be stopped. Python aborts when the limit is lowered under a thread that is deep in its calls."""
+    script = tmp_path / "kernel.py"
+    script.write_text("""
+import sys, time
+from vislam_edu.exercises import EXERCISES
+from vislam_edu.exercises.verdict import judge
+
+def answer(omega):
+    sys.setrecursionlimit(10**9)
+    try:
+        return answer(omega)
+    except:
+        return answer(omega)
+
+print(judge(EXERCISES["so3_hat"], answer, limit=0.5).text)
+time.sleep(1)
+""")
+    done = subprocess.run([sys.executable, script], capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0, done.stderr
+    assert "could not be stopped" in done.stdout
 
 
 # --- pictures ---------------------------------------------------------------------------------------------

@@ -7,6 +7,7 @@ import ctypes
 import inspect
 import linecache
 import re
+import sys
 import sysconfig
 import textwrap
 import threading
@@ -14,6 +15,7 @@ import traceback
 import warnings
 from dataclasses import dataclass
 from pathlib import Path
+from unittest import mock
 
 import numpy as np
 
@@ -21,6 +23,7 @@ from . import surroundings
 
 LIMIT = 5.0  # s, for all inputs of one check together; a right answer takes milliseconds
 _GRACE = 0.2  # s, for a stopped answer to end
+_DEEPEST = 10_000  # calls within calls that an answer may ask for
 
 _PACKAGE = Path(__file__).resolve().parents[1]
 _NOT_THEIRS = [str(_PACKAGE), *{sysconfig.get_path(key) for key in ("stdlib", "purelib", "platlib")}, "<frozen"]
@@ -78,11 +81,23 @@ def answers(exercise, function, cases, limit=LIMIT) -> tuple[list[Outcome], str]
 
 
 def within(work, limit) -> str:
-    """Run `work()` for at most `limit` seconds in a thread of its own; "" if it came to its end, else see `answers`."""
-    def guarded():
-        with contextlib.suppress(_Stop):
-            work()
+    """Run `work()` for at most `limit` seconds in a thread of its own; "" if it came to its end, else see `answers`.
 
+    It may not recurse deeper than `_DEEPEST`, whatever it asks for. What it asked for is undone by the thread itself,
+    when it ends: Python aborts when the limit is lowered under a thread that is deep in its calls.
+    """
+    before, ask = sys.getrecursionlimit(), sys.setrecursionlimit
+    capped = mock.patch.object(sys, "setrecursionlimit", lambda depth: ask(min(depth, max(before, _DEEPEST))))
+
+    def guarded():
+        try:
+            with contextlib.suppress(_Stop):
+                work()
+        finally:
+            capped.stop()
+            ask(before)
+
+    capped.start()
     thread = threading.Thread(target=guarded, daemon=True)
     with warnings.catch_warnings():  # a warning would show a path that differs from run to run
         warnings.simplefilter("ignore")

@@ -73,13 +73,9 @@ class _Capped(io.TextIOBase):
 
 @contextlib.contextmanager
 def guarded() -> Iterator[None]:
-    """Output capped and memory limited, where the system can; settings of the interpreter put back afterwards."""
-    recursion = sys.getrecursionlimit()
+    """Output capped and memory limited, where the system can."""
     with contextlib.redirect_stdout(_Capped(sys.stdout)), _limited_memory():
-        try:
-            yield
-        finally:
-            sys.setrecursionlimit(recursion)
+        yield
 
 
 @contextlib.contextmanager
