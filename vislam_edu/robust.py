@@ -64,13 +64,11 @@ def update(prior: Belief, ids: np.ndarray, pixels: np.ndarray, settings: UpdateS
     between_rows = (residual[:, 1] - residual[:, 3]) ** 2 / (2 * sigma2)  # v_left - v_right, which no state predicts
     squared = innovation.nis[passed]
     HPH = blockwise.times_H(blockwise.times_H(prior.covariance, *blocks).T, *blocks)
-    for _ in range(ROUNDS - 1):  # with S = H P H^T + V/w an update leaves r - H delta = V/w S^-1 r: no delta is needed
-        noise = (variance / weights(squared)[:, None]).ravel()
-        left = (noise * np.linalg.solve(HPH + np.diag(noise), rows.ravel())).reshape(-1, 3)
+    for _ in range(ROUNDS):  # with S = H P H^T + V/w an update leaves r - H delta = V/w S^-1 r: no delta is needed
+        noise = variance / weights(squared)[:, None]
+        left = noise * np.linalg.solve(HPH + np.diag(noise.ravel()), rows.ravel()).reshape(-1, 3)
         squared = np.sum(left**2 / variance, axis=-1) + between_rows
-    delta, covariance = blockwise.absorb(prior.covariance, *blocks, rows, variance / weights(squared)[:, None])
-    left = rows - blockwise.times_H(delta[:, None], *blocks).reshape(-1, 3)
-    squared = np.sum(left**2 / variance, axis=-1) + between_rows
+    delta, covariance = blockwise.absorb(prior.covariance, *blocks, rows, noise)
     accepted = passed.copy()
     accepted[passed] = squared <= settings.threshold
     return motion.retract(prior, delta, covariance, settings.error_state), replace(innovation, accepted=accepted)

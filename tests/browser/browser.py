@@ -4,6 +4,8 @@ import contextlib
 import os
 import shutil
 import socket
+import subprocess
+import sys
 import time
 import urllib.request
 from pathlib import Path
@@ -39,13 +41,38 @@ def listen(page, *allowed):
             or page.complaints.append(f"request: {request.url}"))
 
 
-def free_port():
+_FOLDERS = {  # of a Jupyter that knows nothing of the user's own
+    "JUPYTER_CONFIG_DIR": "config",
+    "JUPYTER_DATA_DIR": "data",
+    "JUPYTER_RUNTIME_DIR": "runtime",
+    "JUPYTERLAB_SETTINGS_DIR": "settings",
+    "JUPYTERLAB_WORKSPACES_DIR": "workspaces",
+    "IPYTHONDIR": "ipython",
+}
+
+
+@contextlib.contextmanager
+def jupyter(module, home, *options):
+    """Address of a Jupyter server with settings of its own, below `home`, that serves the folder home/notebooks."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
-        return probe.getsockname()[1]
+        port = probe.getsockname()[1]
+    address, log = f"http://127.0.0.1:{port}", home / "server.log"
+    command = [
+        sys.executable, "-m", module, "--no-browser", "--allow-root", "--ip=127.0.0.1", f"--port={port}",
+        "--ServerApp.port_retries=0", f"--ServerApp.root_dir={home / 'notebooks'}", "--IdentityProvider.token=",
+        *options,
+    ]
+    environment = os.environ | {name: str(home / folder) for name, folder in _FOLDERS.items()}
+    with log.open("w") as out, subprocess.Popen(command, env=environment, stdout=out, stderr=out) as server:
+        try:
+            _wait_for(address, server, log)
+            yield address
+        finally:
+            server.terminate()
 
 
-def wait_for(address, server, log, seconds=60):
+def _wait_for(address, server, log, seconds=60):
     """Until a Jupyter server answers; the test fails with its log when it does not."""
     deadline = time.monotonic() + seconds
     while time.monotonic() < deadline and server.poll() is None:

@@ -7,15 +7,12 @@ Needs Chromium (or Chrome; set CHROMIUM to its path if it is not found). Screens
 """
 
 import json
-import os
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 
 import nbformat
 import pytest
-from browser import NO_CHROMIUM, POLLING, SCREENSHOTS, SECOND, STATE, expect, free_port, listen, wait_for, wait_until
+from browser import NO_CHROMIUM, POLLING, SCREENSHOTS, SECOND, STATE, expect, jupyter, listen, wait_until
 from whole import WHOLE
 
 from vislam_edu.cli.notebooks import WIDGET_VIEW
@@ -56,14 +53,6 @@ SETTINGS = {
     "docmanager-extension/plugin": {"autosave": False},
     "notebook-extension/tracker": {"windowingMode": "none"},    # or cells out of view are not in the page
 }
-FOLDERS = {
-    "JUPYTER_CONFIG_DIR": "config",
-    "JUPYTER_DATA_DIR": "data",
-    "JUPYTER_RUNTIME_DIR": "runtime",
-    "JUPYTERLAB_SETTINGS_DIR": "settings",
-    "JUPYTERLAB_WORKSPACES_DIR": "workspaces",
-    "IPYTHONDIR": "ipython",
-}
 
 
 @pytest.fixture(scope="module")
@@ -76,21 +65,8 @@ def lab(tmp_path_factory):
         file = home / "settings" / "@jupyterlab" / f"{plugin}.jupyterlab-settings"
         file.parent.mkdir(parents=True, exist_ok=True)
         file.write_text(json.dumps(values))
-    environment = os.environ | {name: str(home / folder) for name, folder in FOLDERS.items()}
-    port = free_port()
-    command = [
-        sys.executable, "-m", "jupyterlab", "--no-browser", "--allow-root", "--ip=127.0.0.1",
-        f"--port={port}", "--ServerApp.port_retries=0", f"--ServerApp.root_dir={home / 'notebooks'}",
-        "--IdentityProvider.token=", "--LabApp.expose_app_in_browser=True",
-    ]
-    log = home / "lab.log"
-    with log.open("w") as out, subprocess.Popen(command, env=environment, stdout=out, stderr=out) as server:
-        try:
-            address = f"http://127.0.0.1:{port}"
-            wait_for(address, server, log)
-            yield address
-        finally:
-            server.terminate()
+    with jupyter("jupyterlab", home, "--LabApp.expose_app_in_browser=True") as address:
+        yield address
 
 
 def copy_notebooks(folder):

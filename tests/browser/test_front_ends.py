@@ -6,14 +6,11 @@ Passed with Notebook 7.6.5, nbclassic 1.3.3 and Voila 0.5.13.
 """
 
 import importlib.util
-import os
-import subprocess
-import sys
 
 import nbformat
 import pytest
-from browser import NO_CHROMIUM, POLLING, SCREENSHOTS, SECOND, STATE, free_port, wait_for, wait_until
-from test_browser import FOLDERS, KERNEL_READY, PICTURE, run_all
+from browser import NO_CHROMIUM, POLLING, SCREENSHOTS, SECOND, STATE, jupyter, wait_until
+from test_browser import KERNEL_READY, PICTURE, run_all
 
 pytestmark = NO_CHROMIUM
 IMPORTS = """\
@@ -55,17 +52,8 @@ def server(tmp_path_factory):
         "kernelspec": {"name": "python3", "display_name": "Python 3", "language": "python"}})
     (home / "notebooks").mkdir()
     nbformat.write(notebook, home / "notebooks" / "a.ipynb")
-    environment = os.environ | {name: str(home / folder) for name, folder in FOLDERS.items()}
-    port, log = free_port(), home / "server.log"
-    command = [sys.executable, "-m", "jupyter_server", "--no-browser", "--allow-root", "--ip=127.0.0.1",
-               f"--port={port}", "--ServerApp.port_retries=0", f"--ServerApp.root_dir={home / 'notebooks'}",
-               "--IdentityProvider.token=", "--JupyterNotebookApp.expose_app_in_browser=True"]
-    with log.open("w") as out, subprocess.Popen(command, env=environment, stdout=out, stderr=out) as process:
-        try:
-            wait_for(f"http://127.0.0.1:{port}", process, log)
-            yield f"http://127.0.0.1:{port}"
-        finally:
-            process.terminate()
+    with jupyter("jupyter_server", home, "--JupyterNotebookApp.expose_app_in_browser=True") as address:
+        yield address
 
 
 @pytest.mark.parametrize("front_end", FRONT_ENDS)

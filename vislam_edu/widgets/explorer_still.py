@@ -14,7 +14,7 @@ from .packing import ONE, get
 AXES = (("longest axis", COLOURS["predicted"], "-"), ("middle axis", COLOURS["mapping"], "--"),
         ("shortest axis", COLOURS["slam"], ":"))
 SIZE = (10.0, 6.0)  # inches at 100 dots per inch
-NUMBERED = 24  # landmarks at most that all get their numbers; of more only the chosen one
+NUMBERED = 24  # landmarks at most that all get their numbers, as in explorer.js; of more only the chosen one
 
 
 class Run:
