@@ -2,6 +2,7 @@
 
 import base64
 import itertools
+from dataclasses import replace
 
 import numpy as np
 import picture_checks
@@ -493,6 +494,25 @@ def test_inset_has_an_arrow_for_each_landmark_that_moved_there(result, name, bef
     for start, move in zip(starts, moves):
         i = np.argmin(np.linalg.norm(beliefs[before].landmarks[:, :2] - start, axis=1))
         np.testing.assert_allclose(start + move, beliefs[after].landmarks[i, :2])
+
+
+def test_moves_too_long_for_an_inset_are_arrows_on_the_map(result):
+    mapped, shift = result.mapped.map, np.array([30.0, 10.0, 0.0])
+    far = replace(result.slam, map=replace(mapped, landmarks=mapped.landmarks + shift))
+    axes = report_figures.all_landmarks(result.drive, result.dead_reckoning, result.initial, result.mapped, far).axes[0]
+    [arrows] = [c for c in axes.collections if isinstance(c, Quiver)]
+    assert not axes.child_axes
+    np.testing.assert_allclose(np.column_stack([arrows.U, arrows.V]), np.tile(shift[:2], (len(arrows.U), 1)))
+    assert 3 <= len(arrows.U) <= report_figures.ELLIPSES
+    assert "moves of one landmark in" in axes.figure.legends[0].get_texts()[-1].get_text()
+
+
+@pytest.mark.parametrize("corner", [(0.1, 0.1), (0.1, 0.56), (0.62, 0.1), (0.62, 0.56), (0.33, 0.33)])
+def test_an_inset_hides_as_little_as_it_can(corner):
+    points = np.random.default_rng(0).uniform((-100, 0), (100, 50), (2000, 2))
+    share = (points - [-100, 0]) / [200, 50]
+    free = ((share > np.array(corner) - 0.03) & (share < np.array(corner) + 0.45)).all(axis=1)
+    assert report_figures._emptiest((-100, 100, 0, 50), points[~free])[:2] == corner
 
 
 def test_a_table_aligns_its_columns(capsys):

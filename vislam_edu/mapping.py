@@ -89,12 +89,13 @@ def run(drive: Drive, noise: Noise, world_T_imu: np.ndarray, initialise: Callabl
         prior = posterior
         m, P, seen = prior.landmarks.copy(), prior.covariance.copy(), prior.seen.copy()
 
-        new = ~seen[ids]
-        first = initialise(camera, noise, T, pixels[new], min_disparity)
-        born = ids[new][first.ok]
-        m[born], P[born], seen[born] = first.landmarks[first.ok], first.covariance[first.ok], True
-        if first.measured_again:
-            prior = MapBelief(m.copy(), P.copy(), seen.copy())
+        new, born = ~seen[ids], ids[:0]
+        if new.any():
+            first = initialise(camera, noise, T, pixels[new], min_disparity)
+            born = ids[new][first.ok]
+            m[born], P[born], seen[born] = first.landmarks[first.ok], first.covariance[first.ok], True
+            if first.measured_again:
+                prior = MapBelief(m.copy(), P.copy(), seen.copy())
 
         known = prior.seen[ids]
         ids, pixels = ids[known], pixels[known]

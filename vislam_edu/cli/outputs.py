@@ -16,6 +16,8 @@ from ..plots import report_figures, style
 from ..plots.graph import draw_batch
 from ..recordings.files import part_of
 
+PNG = style.PNG | {"pil_kwargs": {"compress_level": 3}}  # 2 % more bytes than 6, the default, in a third of the time
+
 
 def summary(result, smoothed=None) -> dict:
     """The numbers that sum a run up; keys name their units.
@@ -151,9 +153,9 @@ def write(result, folder, smoothed=None):
                                         "batch_landmarks": smoothed.solution.estimate.landmarks}),
     )
     if smoothed is not None:
-        draw_batch(result, smoothed.solution.estimate.world_T_imu).savefig(folder / "fig8_batch.png", **style.PNG)
+        draw_batch(result, smoothed.solution.estimate.world_T_imu).savefig(folder / "fig8_batch.png", **PNG)
     for name, draw in report_figures.FIGURES.items():
-        draw(result).savefig(folder / f"{name}.png", **style.PNG)
+        draw(result).savefig(folder / f"{name}.png", **PNG)
     return numbers
 
 

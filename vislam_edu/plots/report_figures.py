@@ -122,12 +122,18 @@ def _several_maps(drive, maps, paths, title, moved):
     for method, trajectory in paths.items():
         drawing.draw_trajectory(axes, trajectory.world_T_imu, method, label=f"path, {style.LABELS[method]}")
     before, after = moved
-    _draw_moves(axes, view, maps[before], maps[after], style.COLOURS[after])
+    drawn = [belief.landmarks[belief.seen, :2] for belief in maps.values()]
+    drawn += [trajectory.world_T_imu[:, :2, 3] for trajectory in paths.values()]
+    _draw_moves(axes, view, maps[before], maps[after], style.COLOURS[after], np.concatenate(drawn))
     return drawing.finish(figure, title)
 
 
-def _draw_moves(axes, view, before, after, colour):
-    """An inset around the landmark whose move is the median one, with an arrow for each landmark's move."""
+def _draw_moves(axes, view, before, after, colour, covered):
+    """An inset around the landmark whose move is the median one, with an arrow for each landmark's move.
+
+    Moves so long that the inset would magnify nothing are drawn on the map, of some landmarks. covered : (n, 2), m, of
+    which the inset hides as little as it can.
+    """
     both = np.flatnonzero(before.seen & after.seen)
     both = both[drawing.inside(view, before.landmarks[both]) & drawing.inside(view, after.landmarks[both])]
     if not len(both):
@@ -136,10 +142,26 @@ def _draw_moves(axes, view, before, after, colour):
     length = np.linalg.norm(move, axis=-1)
     middle = np.argsort(length)[len(length) // 2]
     half = max(6.0, 1.2 * length[middle])
-    centre = start[middle] + move[middle] / 2
-    inset = drawing.draw_inset(axes, centre, half, (0.33, 0.33, 0.36, 0.36), "moves seen from above (m)")
-    shown = np.linalg.norm(start + move / 2 - centre, ord=np.inf, axis=-1) < half
-    inset.quiver(*start[shown].T, *move[shown].T, angles="xy", scale_units="xy", scale=1, width=0.012, color=colour)
+    if half < (view[1] - view[0]) / 8:
+        centre = start[middle] + move[middle] / 2
+        axes = drawing.draw_inset(axes, centre, half, _emptiest(view, covered), "moves seen from above (m)")
+        shown, looks = np.linalg.norm(start + move / 2 - centre, ord=np.inf, axis=-1) < half, {"width": 0.012}
+    else:
+        every = -(-len(both) // ELLIPSES)
+        shown, looks = slice(None, None, every), {"width": 0.003, "label": f"moves of one landmark in {every}"}
+    axes.quiver(*start[shown].T, *move[shown].T, angles="xy", scale_units="xy", scale=1, color=colour, **looks)
+
+
+def _emptiest(view, points):
+    """Of nine places for an inset, (x, y, width, height) as shares of the axes, the one that covers fewest points."""
+    x0, x1, y0, y1 = view
+    x, y = (points - [x0, y0]).T / [[x1 - x0], [y1 - y0]]
+    places = [(left, low, 0.36, 0.36) for left in (0.33, 0.1, 0.62) for low in (0.33, 0.1, 0.56)]
+
+    def hidden(place):  # with the numbers beside it and the title above
+        return np.count_nonzero((np.abs(x - place[0] - 0.18) < 0.2) & (np.abs(y - place[1] - 0.2) < 0.24))
+
+    return min(places, key=hidden)
 
 
 def _draw_landmarks(axes, view, belief, method, **looks):
