@@ -145,11 +145,12 @@ def _draw_moves(axes, view, before, after, colour, covered):
     if half < (view[1] - view[0]) / 8:
         centre = start[middle] + move[middle] / 2
         axes = drawing.draw_inset(axes, centre, half, _emptiest(view, covered), "moves seen from above (m)")
-        shown, looks = np.linalg.norm(start + move / 2 - centre, ord=np.inf, axis=-1) < half, {"width": 0.012}
+        shown, width, label = np.linalg.norm(start + move / 2 - centre, ord=np.inf, axis=-1) < half, 0.012, None
     else:
         every = -(-len(both) // ELLIPSES)
-        shown, looks = slice(None, None, every), {"width": 0.003, "label": f"moves of one landmark in {every}"}
-    axes.quiver(*start[shown].T, *move[shown].T, angles="xy", scale_units="xy", scale=1, color=colour, **looks)
+        shown, width, label = slice(None, None, every), 0.003, f"moves of one landmark in {every}"
+    axes.quiver(*start[shown].T, *move[shown].T, angles="xy", scale_units="xy", scale=1, width=width, color=colour,
+                label=label)
 
 
 def _emptiest(view, points):
