@@ -115,7 +115,7 @@ def run(arguments):
                     drive, noise, RightInvariant() if invariant else RightPerturbation(), method=method,
                     gate=arguments.gate, min_disparity=arguments.min_disparity,
                     consider_calibration=arguments.calibration,
-                    progress=partial(tqdm, unit="run", disable=arguments.quiet), **options)
+                    progress=partial(tqdm, disable=arguments.quiet), **options)
         except LinAlgError as error:
             raise DriveError(f"{arguments.recording}: the filter broke down ({error}), "
                              f"{breakdown.likely_reason(drive, noise)}") from None

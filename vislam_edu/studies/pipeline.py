@@ -151,8 +151,8 @@ def joint(drive, noise, error_state, *, metre=scale.of_the_cameras, method="slam
     is drawn with. progress : as for `run_pipeline`. options : further ones of `window_slam.run`.
     """
     steps = window_slam.run(drive, noise, error_state, **options)
-    return metre(collect_slam(drive, progress(steps, total=drive.n_frames, desc="SLAM"), error_state, method), drive,
-                 noise)
+    frames = progress(steps, total=drive.n_frames, desc="SLAM", unit="frame")
+    return metre(collect_slam(drive, frames, error_state, method), drive, noise)
 
 
 def joint_path(drive, noise, error_state, **options) -> np.ndarray:
@@ -167,14 +167,14 @@ def run_pipeline(drive, noise, error_state=None, *, gate=0.99, min_disparity=1.0
     drive : Drive. noise : Noise, of all of them. error_state : of the joint filter, `RightPerturbation()` by default.
     gate : probability that a good measurement passes, in the joint filter. min_disparity : px, below it a
     landmark waits for a better view. consider_calibration : whether to run the joint filter again with each knob of the
-    calibration turned. progress : called as `progress(frames, total=, desc=)`, yields what `frames` yields; tqdm fits.
+    calibration turned. progress : called as `progress(frames, total=, desc=, unit=)`, as tqdm is.
     options : further ones of `joint`, which is the only one of the three filters that has these choices.
     """
     dead_reckoning = odometry.dead_reckon(drive, noise)
     poses = dead_reckoning.world_T_imu
     initial = first_sight(drive, noise, poses, min_disparity)
     steps = mapping.run(drive, noise, poses, mapping.as_report, gate=1, min_disparity=min_disparity)
-    mapped = collect_mapping(progress(steps, total=drive.n_frames, desc="mapping"))
+    mapped = collect_mapping(progress(steps, total=drive.n_frames, desc="mapping", unit="frame"))
     options = {"noise": noise, "error_state": error_state or RightPerturbation(), "gate": gate,
                "min_disparity": min_disparity, **options}
     slam = joint(drive, progress=progress, **options)
