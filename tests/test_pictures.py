@@ -125,7 +125,11 @@ def test_dragging_the_point_shows_its_cloud_and_its_ellipse():
         np.testing.assert_allclose(picture.cloud.get_xydata(), cloud[:, [2, 0]])
         assert picture.here.get_xydata()[0] == pytest.approx([depth, np.sqrt(P[0, 0])])
         spans.append(picture.spread.get_ydata()[0])
+        near, far = np.sort(cloud[:, 2])[[79, 420]]  # 68 % of 500 draws lie between them
+        assert spans[-1] == pytest.approx((far - near) / 2, rel=0.02)
     assert spans[1] / spans[0] == pytest.approx(4, rel=0.05)
+    panel.controls["depth"].value, panel.controls["sigma_px"].value = 60.0, 1.5
+    assert all(line.get_ydata()[0] < picture.law.get_ylim()[1] for line in (picture.spread, picture.here))
 
 
 # --- 03 ---

@@ -27,6 +27,12 @@ def depth_sigma(depth, camera, sigma_px):
     return np.asarray(depth) ** 2 / (camera.K[0, 0] * camera.baseline) * np.sqrt(2) * sigma_px
 
 
+def inner_spread(depths):
+    """Half the width, m, of the inner 68 % of depths (n,): one sigma of a Gaussian, whatever a few wild draws do."""
+    near, far = np.percentile(depths, [15.87, 84.13])
+    return (far - near) / 2
+
+
 class StereoDepthPicture(Picture):
     """A point dragged in depth: both images with their noise, and the triangulated cloud from above.
 
@@ -69,7 +75,7 @@ class StereoDepthPicture(Picture):
             "depth (m)",
             "",
             xlim=(0, FAR + 3),
-            ylim=(0, 20),
+            ylim=(0, 24),
         )
         self.depths = np.linspace(0, FAR + 3, 120)
         (self.curve,) = self.law.plot(
@@ -79,7 +85,7 @@ class StereoDepthPicture(Picture):
             [], [], "o", ms=8, mfc="white", mew=1.6, color=COLOURS["posterior"], label="this depth"
         )
         (self.spread,) = self.law.plot(
-            [], [], "x", ms=8, mew=1.8, color=COLOURS["measured"], label="spread of the cloud"
+            [], [], "x", ms=8, mew=1.8, color=COLOURS["measured"], label="half the inner 68 %"
         )
         self.moves(self.curve, self.here, self.spread)
         legend(self.law, [self.curve, self.here, self.spread], columns=1, loc="upper left")
@@ -127,7 +133,7 @@ class StereoDepthPicture(Picture):
         self.point.set_data([z], [x])
         self.curve.set_data(self.depths, depth_sigma(self.depths, self.camera, sigma_px))
         self.here.set_data([z], [depth_sigma(z, self.camera, sigma_px)])
-        self.spread.set_data([z], [cloud[:, 2].std()])
+        self.spread.set_data([z], [inner_spread(cloud[:, 2])])
 
     def outline(self, point, sigma_px):
         """(n, 2): 95 % ellipse of depth and x of a triangulated point."""
@@ -140,9 +146,8 @@ class StereoDepthPicture(Picture):
         held = Path(self.outline(point, sigma_px)).contains_points(cloud[:, [2, 0]]).mean()
         return (
             f"Depth {depth:.1f} m, disparity {true[0] - true[2]:.1f} px: the depth is known to "
-            f"± {depth_sigma(depth, self.camera, sigma_px):.2f} m (one σ), the cloud spreads by "
-            f"{cloud[:, 2].std():.2f} m, "
-            f"the 95 % ellipse holds {held:.0%} of it."
+            f"± {depth_sigma(depth, self.camera, sigma_px):.2f} m (one σ); of the cloud the inner 68 % lie "
+            f"within ± {inner_spread(cloud[:, 2]):.2f} m, the 95 % ellipse holds {held:.0%} of it."
         )
 
     def alt(self, **state):
