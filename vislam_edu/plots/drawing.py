@@ -123,7 +123,8 @@ def finish(figure, title):
     axes = figure.axes[0]
     box = axes.get_position(original=True)
     height = box.height * figure.get_figheight()
-    lines = textwrap.wrap(re.sub(r"(?<=\d) (?=(m|s|%)\b|%)", "\N{NO-BREAK SPACE}", title), _TITLE_CHARACTERS)
+    title = re.sub(r"(?<=\d) (?=(m|s|%)\b|%)", "\N{NO-BREAK SPACE}", title)
+    lines = textwrap.wrap(title, _TITLE_CHARACTERS, break_on_hyphens=False)
     handles, labels = axes.get_legend_handles_labels()
     columns, rows = _legend_grid(labels)
     below, above = 0.55 + (0.15 + _LINE * rows if rows else 0.0), 0.15 + _LINE * len(lines)
