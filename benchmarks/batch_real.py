@@ -28,7 +28,7 @@ EVERY = 25  # frames between poses whose NEES is taken: covariances are solved f
 def solved(problem) -> dict:
     """Accuracy, honesty and cost of one solution."""
     drive, begin = problem.drive, time.process_time()
-    solution = batch.solve(problem, tolerance=batch.REAL_TOLERANCE)
+    solution = batch.solve(problem, tolerance=pipeline.REAL_TOLERANCE)
     seconds = time.process_time() - begin
     poses, frames = solution.estimate.world_T_imu, np.arange(EVERY, drive.n_frames, EVERY)
     truth = drive.true_world_T_imu[frames]
@@ -43,11 +43,11 @@ def treatments(drive) -> dict:
     """Numbers of the filter and of each way to pose the problem."""
     report = audit(drive)
     cured, noise = report.cured(), pipeline.noise_of_real_drive(report.noise)
-    usual = batch.of_real_drive(cured, noise)
+    usual = pipeline.batch_of_real_drive(cured, noise)
     return {
         "filter": real_drives.filtered(cured, noise, motion_model=robust.RealDrive, process_frame=robust.process_frame),
         "batch": solved(usual),
-        "batch, scale estimated": solved(batch.of_real_drive(cured, noise, scale_sigma=0.05)),
+        "batch, scale estimated": solved(pipeline.batch_of_real_drive(cured, noise, scale_sigma=0.05)),
         "batch, no walk of the twist": solved(replace(usual, walk_sigma=None)),
         "batch, no bias": solved(replace(usual, imu_sigma=np.zeros(4))),
         "batch, squares in place of the robust loss": solved(replace(usual, loss=batch.quadratic)),

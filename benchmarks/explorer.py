@@ -29,6 +29,7 @@ import numpy as np
 
 from vislam_edu import simulate, window_slam
 from vislam_edu.noise import Noise
+from vislam_edu.studies import broken_filters
 from vislam_edu.widgets import Explorer, Panel
 from vislam_edu.widgets.stereo_depth import StereoDepthPicture
 from vislam_edu.widgets.twist import TwistPicture
@@ -37,10 +38,11 @@ RESULTS = Path(__file__).with_name("results") / "explorer.json"
 PRESSES = 50
 CELL = """from vislam_edu import simulate, window_slam
 from vislam_edu.noise import Noise
+from vislam_edu.studies import broken_filters
 from vislam_edu.widgets import Explorer
 
 drive, noise = simulate.first_steps(), Noise()
-blind = window_slam.without_cross_covariance(window_slam.correlated)
+blind = broken_filters.without_cross_covariance
 runs = {"joint": window_slam.run(drive, noise), "blind": window_slam.run(drive, noise, process_frame=blind)}
 Explorer(runs, drive, show=0, start=20)"""
 # A key event carries the time at which the browser got it. The first task after the next frame's callbacks runs when
@@ -124,7 +126,7 @@ def main():
     from playwright.sync_api import sync_playwright
 
     drive, noise = simulate.first_steps(), Noise()
-    blind = window_slam.without_cross_covariance(window_slam.correlated)
+    blind = broken_filters.without_cross_covariance
     explorer = Explorer({"joint": window_slam.run(drive, noise),
                          "blind": window_slam.run(drive, noise, process_frame=blind)}, drive, show=0, start=20)
     sent = json.dumps(explorer.header).encode() + explorer.data

@@ -166,8 +166,8 @@ def main():
     for drive in real_drives.drives(arguments):
         report = audit(drive)
         cured = report.cured()
-        cases.append((drive.name, batch.of_real_drive(cured, pipeline.noise_of_real_drive(report.noise)),
-                      batch.REAL_TOLERANCE))
+        cases.append((drive.name, pipeline.batch_of_real_drive(cured, pipeline.noise_of_real_drive(report.noise)),
+                      pipeline.REAL_TOLERANCE))
     for name, problem, tolerance in cases:
         numbers = compare(problem, tolerance)
         print(f"{name}: cost at our estimate {numbers['ours']['cost']:.3f} here, {numbers['cost_there']:.3f} in GTSAM")

@@ -234,19 +234,19 @@ def real(name):
     if truth.exists():
         drive = recordings.load_ground_truth(truth, drive)
     report = audit(drive)
-    return batch.of_real_drive(report.cured(), pipeline.noise_of_real_drive(report.noise))
+    return pipeline.batch_of_real_drive(report.cured(), pipeline.noise_of_real_drive(report.noise))
 
 
 def test_drift_on_the_real_drive():
     problem = real("0027")
-    solution = batch.solve(problem, tolerance=batch.REAL_TOLERANCE)
+    solution = batch.solve(problem, tolerance=pipeline.REAL_TOLERANCE)
     drive = problem.drive
     world_T_cam = solution.estimate.world_T_imu @ drive.camera.imu_T_cam
     assert metrics.kitti_drift(drive.truth_world_T_cam, world_T_cam)[0] <= 1.45
 
 
 def test_the_recording_without_truth_converges():
-    costs = [step.cost for step in batch.iterate(real("03"), tolerance=batch.REAL_TOLERANCE)]
+    costs = [step.cost for step in batch.iterate(real("03"), tolerance=pipeline.REAL_TOLERANCE)]
     assert costs == sorted(costs, reverse=True)
     assert len(costs) < 30
     assert costs[-1] < 0.2 * costs[0]

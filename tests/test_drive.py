@@ -178,15 +178,6 @@ def test_keep_observations_refuses_to_tear_a_track():
         drive.keep_observations(~((drive.landmark == 2) & (drive.frame == 2)))
 
 
-def test_between_counts_seconds_from_the_start_and_takes_both_ends():
-    drive = small_drive(times=100 + np.array([0, 0.5, 1, 1.5, 2, 2.5]))
-    assert drive.between(0.5, 1.5).times.tolist() == [100.5, 101.0, 101.5]
-    assert drive.between(0.6, 99).times.tolist() == [101.0, 101.5, 102.0, 102.5]
-    assert np.array_equal(dense(drive.between(0, drive.duration)), dense(drive.slice(0)))
-    with pytest.raises(DriveError, match=r"no frame from 0.6 s to 0.9 s"):
-        drive.between(0.6, 0.9)
-
-
 @pytest.mark.parametrize("cut", [(3, 3), (6,), (4, 2)], ids=str)
 def test_slice_refuses_to_be_empty(cut):
     with pytest.raises(DriveError, match="slice: no frame"):

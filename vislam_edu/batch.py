@@ -141,17 +141,6 @@ class Problem:
         return min(orders, key=lambda rank: np.abs(rank[common.row] - rank[common.col]).max())
 
 
-REAL_TOLERANCE = 100.0  # robust weights settle slowly, and the path has long stopped moving
-
-
-def of_real_drive(drive: Drive, noise: Noise, scale_sigma: float = 0.0) -> Problem:
-    """The problem of a real car: its twist changes slowly, its gyro has a bias, some tracks are wrong.
-
-    drive : Drive, cured. noise : Noise of the IMU as measured. scale_sigma : 0 where the speed's scale is known.
-    """
-    return Problem(drive, noise, (0.1, 0.015), np.array([0.02, 0.02, 0.02, scale_sigma]), cauchy)
-
-
 def start(problem: Problem, world_T_imu: np.ndarray | None = None) -> Estimate:
     """Where the iterations begin: poses (T, 4, 4), by default dead reckoning, each landmark from its nearest view."""
     drive = problem.drive
@@ -456,15 +445,3 @@ def solve(problem: Problem, estimate: Estimate | None = None, tolerance: float =
     for n, last in enumerate(iterate(problem, estimate, tolerance=tolerance)):  # noqa: B007
         pass
     return Solution(problem, last.estimate, last.cost, n)
-
-
-# --- the same by hand, on a small drive -------------------------------------------------------------------
-
-
-def gauss_newton_step(r: np.ndarray, J: np.ndarray) -> np.ndarray:
-    """The step that minimises |r + J delta|^2: the normal equations J^T J delta = -J^T r, dense. r (n,), J (n, m).
-
-    >>> gauss_newton_step(np.array([1.0, 3.0]), np.array([[1.0], [1.0]])).tolist()
-    [-2.0]
-    """
-    return np.linalg.solve(J.T @ J, -J.T @ r)

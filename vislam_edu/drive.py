@@ -206,15 +206,6 @@ class Drive:
                             truth_world_T_cam=None if truth is None else truth[start:stop])
         return part.keep_landmarks(part.first_seen >= 0)
 
-    def between(self, t0: float, t1: float) -> Drive:
-        """The frames from t0 to t1 (both included), s since the drive's first frame."""
-        since_start = self.times - self.times[0]
-        start = np.searchsorted(since_start, t0, side="left")
-        stop = np.searchsorted(since_start, t1, side="right")
-        if start >= stop:
-            raise DriveError(f"between: no frame from {t0} s to {t1} s in a drive of {self.duration:.3f} s")
-        return self.slice(int(start), int(stop))
-
     def subsample(self, every: int = 10) -> Drive:
         """Every `every`-th landmark only (the report, section 4, keeps one in ten)."""
         if every != int(every) or every < 1:

@@ -15,10 +15,9 @@ True
 """
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import block_diag
 from threadpoolctl import ThreadpoolController
 
 from . import blockwise, kalman, motion, stereo
@@ -213,20 +212,6 @@ def as_report(prior: Belief, ids: np.ndarray, pixels: np.ndarray, settings: Upda
     prior = add_as_report(prior, ids[new], pixels[new], settings)
     known = contains(prior.ids, ids)
     return prior, *update(prior, ids[known], pixels[known], settings)
-
-
-def without_cross_covariance(process_frame: ProcessFrame) -> ProcessFrame:
-    """The same frame, after which landmarks and pose are assumed independent: what many first versions do.
-
-    process_frame : `correlated` or `as_report`. Returns a function to pass to `run`. It is wrong on purpose.
-    """
-
-    def blind(prior: Belief, ids: np.ndarray, pixels: np.ndarray, settings: UpdateSettings) -> Frame:
-        prior, posterior, innovation = process_frame(prior, ids, pixels, settings)
-        blocks = [*posterior.landmark_covariance, posterior.covariance[posterior.pose.start:, posterior.pose.start:]]
-        return prior, replace(posterior, covariance=block_diag(*blocks)), innovation
-
-    return blind
 
 
 def retire_unseen(belief: Belief, ids: np.ndarray) -> np.ndarray:

@@ -124,7 +124,7 @@ def run(arguments):
                              f"{', '.join(unusable)}; {breakdown.likely_reason(drive, noise)}")
         smoothed = None
         if arguments.batch:
-            problem = (batch.of_real_drive(drive, noise, scale_sigma=0.05) if arguments.audit
+            problem = (pipeline.batch_of_real_drive(drive, noise, scale_sigma=0.05) if arguments.audit
                        else batch.Problem(drive, noise))
             smoothed = pipeline.run_batch(problem, result.slam.trajectory.world_T_imu)
         numbers = outputs.write(result, folder, smoothed)

@@ -119,7 +119,7 @@ def linearised(rng):
         yield "random", (rng.normal(size=n), rng.normal(size=(n, m)) * np.logspace(0, 1, m), damping)
 
 
-@exercise(chapter=11, cases=linearised, shows=[batch.gauss_newton_step, batch.iterate], hints=[
+@exercise(chapter=11, cases=linearised, shows=[batch.iterate], hints=[
     "Gauss-Newton solves J^T J delta = -J^T r. Levenberg-Marquardt makes the diagonal of J^T J larger.",
     "H = J.T @ J; solve (H + damping * diag(H)) delta = -J.T @ r."])
 def marquardt_step(r, J, damping):

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from .. import metrics, motion, se3, window_slam
 from ..error_state import RightPerturbation
@@ -136,6 +137,16 @@ def used_twice(prior, ids, pixels, settings):
     return prior, window_slam.update(posterior, ids[again], pixels[again], settings)[0], innovation
 
 
+# --- the covariance after a frame ---------------------------------------------------------------------------
+
+
+def without_cross_covariance(prior, ids, pixels, settings):
+    """A frame after which landmarks and pose are assumed independent: what many first versions do."""
+    prior, posterior, innovation = window_slam.correlated(prior, ids, pixels, settings)
+    blocks = [*posterior.landmark_covariance, posterior.covariance[posterior.pose.start:, posterior.pose.start:]]
+    return prior, replace(posterior, covariance=block_diag(*blocks)), innovation
+
+
 # --- the exhibition -----------------------------------------------------------------------------------------
 
 
@@ -182,7 +193,7 @@ PIECES = {
     "order": Piece("orders mixed", _with(error_state=GroupedOrder()),
                    "joint_update", "interleaved and grouped orders mixed"),
     "never": Piece("cross terms never written",
-                   _with(process_frame=window_slam.without_cross_covariance(window_slam.correlated)),
+                   _with(process_frame=without_cross_covariance),
                    "joint_update", "cross-covariances cut"),
     "cross": Piece("cross terms left behind", _with(motion_model=CrossNotPropagated),
                    "predict_joint", "cross-covariances not propagated"),

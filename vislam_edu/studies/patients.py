@@ -234,7 +234,7 @@ FAULTS: dict[str, Fault] = {
     "order": Fault("correction", "order", _fixed(_state(museum.GroupedOrder)), seen_by=("update",)),
     "gain": Fault("correction", "factor", _gain, (0.4, 1.6), seen_by=("update",)),
     "never": Fault("covariance after the update", "missing", _fixed({
-        "process_frame": window_slam.without_cross_covariance(window_slam.correlated)}),
+        "process_frame": museum.without_cross_covariance}),
         seen_by=("standing still", "update")),
     "cross": Fault("predicted covariance", "missing", _fixed({"motion_model": museum.CrossNotPropagated}),
                    levels=(2, 3), seen_by=("predict",)),
