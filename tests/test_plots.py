@@ -1,6 +1,7 @@
 """The pictures: their artists hold what was measured, and nothing is drawn where it cannot be read."""
 
 import base64
+import inspect
 import itertools
 from dataclasses import replace
 
@@ -13,7 +14,7 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.quiver import Quiver
 
-from vislam_edu import odometry, plots, se3, window_slam
+from vislam_edu import ekf_slam, odometry, plots, se3, window_slam
 from vislam_edu.error_state import RightInvariant, RightPerturbation
 from vislam_edu.motion import Belief
 from vislam_edu.noise import Noise
@@ -513,6 +514,14 @@ def test_an_inset_hides_as_little_as_it_can(corner):
     share = (points - [-100, 0]) / [200, 50]
     free = ((share > np.array(corner) - 0.03) & (share < np.array(corner) + 0.45)).all(axis=1)
     assert report_figures._emptiest((-100, 100, 0, 50), points[~free])[:2] == corner
+
+
+def test_source_is_shown_without_docstrings_and_with_comments(capsys):
+    plots.show_source(ekf_slam.new_landmark, ekf_slam.joint_jacobian)  # docstrings of five lines and of more
+    shown, source = capsys.readouterr().out, inspect.getsource(ekf_slam.new_landmark)
+    assert '"""' not in shown
+    assert "# old errors to new errors" in shown
+    assert shown.startswith(source[:source.index('    """')] + source[source.rindex('"""') + 4:])
 
 
 def test_a_table_aligns_its_columns(capsys):

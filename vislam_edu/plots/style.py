@@ -7,6 +7,7 @@ readers, or else in line style. What is drawn as an Image in a notebook is also 
 import base64
 import inspect
 import io
+import re
 import sys
 import textwrap
 from typing import Any
@@ -243,4 +244,4 @@ def show_source(*functions) -> None:
     """Print the code of functions of the package, without their docstrings."""
     for function in functions:
         lines = inspect.getsource(function).rstrip()
-        print(lines.replace(f'    """{function.__doc__}"""\n', ""), end="\n\n")
+        print(re.sub(r'    """.*?"""\n', "", lines, count=1, flags=re.DOTALL), end="\n\n")
