@@ -143,6 +143,7 @@ def shell(monkeypatch):
     """An IPython shell that is not running, as if it were the notebook's."""
     from IPython.core.interactiveshell import InteractiveShell
 
+    monkeypatch.delenv("VIRTUAL_ENV", raising=False)  # another one than this Python's makes the shell warn
     shell = InteractiveShell()
     monkeypatch.setattr(style, "_ipython", lambda: shell)
     return shell
