@@ -7,8 +7,6 @@ import argparse
 import math
 from pathlib import Path
 
-from .. import recordings
-
 
 class OptionError(ValueError):
     """An option, or a combination of options, that cannot be used; the message says which and why."""
@@ -57,6 +55,8 @@ def add_recording(parser):
 
 def read_recording(arguments):
     """The `Drive` that `add_recording` asked for. Raises DriveError when it cannot be used."""
+    from .. import recordings  # here, or --help would load numpy and scipy first
+
     drive = recordings.load(arguments.recording)
     if arguments.ground_truth is not None:
         drive = recordings.load_ground_truth(arguments.ground_truth, drive)
