@@ -87,15 +87,17 @@ def test_stored_notebook(path):
 
 
 LINK_TO_A_FILE = re.compile(r"\]\((?!https?:|#)([^)#]+)[^)]*\)")
+FETCHED = re.compile(r"!\[[^\]]*\]\(\s*https?:|\bsrc\s*=\s*[\"']?https?:")  # by whoever opens the page
 
 
 @pytest.mark.parametrize("path", [*NOTEBOOKS, *sorted((ROOT / "docs").glob("*.md"))], ids=lambda path: path.stem)
-def test_a_link_leads_to_a_file(path):
+def test_a_link_leads_to_a_file_and_nothing_is_fetched(path):
     text = path.read_text(encoding="utf-8")
     if path.suffix == ".ipynb":
         cells = nbformat.reads(text, as_version=4).cells
         text = "\n".join(cell.source for cell in cells if cell.cell_type == "markdown")
     assert [link for link in LINK_TO_A_FILE.findall(text) if not (path.parent / link).exists()] == []
+    assert FETCHED.findall(text) == []
 
 
 QUOTE = re.compile(r"\[\d\d\]\(\.\./notebooks/(\w+\.ipynb)\): `([^`]+)`")

@@ -1,14 +1,17 @@
 """Every notebook in JupyterLab and a real browser: its cells run, sliders work, nothing leaves this machine.
 
-The cells below a notebook's last slider or explorer are left out: they show text and still pictures, which `--nbval`
-compares without a browser. VISLAM_EDU_WHOLE=1 runs them here too.
+Of a notebook only the cells with a slider or an explorer are shown and run, with what they need of the cells above
+them: the others hold text and still pictures, which `--nbval` compares without a browser, in a new kernel for each
+notebook; here one kernel serves all. VISLAM_EDU_WHOLE=1 shows and runs all cells here too.
 
 Needs Chromium (or Chrome; set CHROMIUM to its path if it is not found). Screenshots are left in screenshots/.
 """
 
+import dis
 import json
 import shutil
 from pathlib import Path
+from types import CodeType
 
 import nbformat
 import pytest
@@ -28,12 +31,15 @@ KERNEL_READY = """() => {
     return session?.isReady && kernel?.connectionStatus === 'connected' && kernel.status === 'idle';
 }"""
 RESTORED = "() => window.jupyterapp?.restored.then(() => true)"
+# The kernel that the first notebook starts serves the others too: to import what all of them import takes longer than
+# most cells.
 OPEN = """async name => {
-    await window.jupyterapp.commands.execute('docmanager:open', {path: name, factory: 'Notebook'});
+    await window.jupyterapp.commands.execute(
+        'docmanager:open', {path: name, factory: 'Notebook', kernel: window.firstKernel});
 }"""
 CLOSE_ALL = """async () => {
     for (const tab of [...window.jupyterapp.shell.widgets('main')]) {
-        await tab.context?.sessionContext.shutdown();
+        window.firstKernel ??= tab.context?.sessionContext.session?.kernel?.model;
         tab.dispose();
     }
 }"""
@@ -70,18 +76,41 @@ def lab(tmp_path_factory):
 
 
 def copy_notebooks(folder):
-    """Copies without outputs; where something moves, only as far as the last cell with that."""
+    """Copies without outputs, of the needed cells alone; since they share a kernel, each begins by emptying it."""
     shutil.copytree(ROOT / "notebooks", folder, ignore=shutil.ignore_patterns(".*"))
     for path in folder.glob("*.ipynb"):
         notebook = nbformat.read(path, as_version=4)
-        moving = [i for i, cell in enumerate(notebook.cells) for output in cell.get("outputs", [])
-                  if WIDGET_VIEW in output.get("data", {})]
-        if moving and not WHOLE:
-            notebook.cells = notebook.cells[:moving[-1] + 1]
-        for cell in notebook.cells:
-            if cell.cell_type == "code":
-                cell.outputs, cell.execution_count = [], None
+        code = [cell for cell in notebook.cells if cell.cell_type == "code"]
+        if not WHOLE:
+            notebook.cells = needed(code)
+        for cell in code:
+            cell.outputs, cell.execution_count = [], None
+        code[0].source = "%reset -f\n" + code[0].source
         nbformat.write(notebook, path)
+
+
+def needed(code):
+    """The first of these cells, those where something moves, and going up each that binds a name that those read."""
+    kept, missing = [], set()
+    for cell in reversed(code):
+        bound, read = names(cell.source)
+        if cell is code[0] or missing & bound or any(WIDGET_VIEW in out.get("data", {}) for out in cell.outputs):
+            kept.insert(0, cell)
+            missing = missing - bound | read
+    return kept
+
+
+def names(source):
+    """Names that a cell binds, and those that it or its functions read before it does."""
+    bound, read, codes = set(), set(), [compile(source, "cell", "exec")]
+    for code in codes:
+        codes += [constant for constant in code.co_consts if isinstance(constant, CodeType)]
+        for step in dis.get_instructions(code):
+            if step.opname == "STORE_NAME":
+                bound.add(step.argval)
+            elif step.opname in ("LOAD_NAME", "LOAD_GLOBAL") and step.argval not in bound:
+                read.add(step.argval)
+    return bound, read
 
 
 @pytest.fixture(scope="module")
