@@ -39,7 +39,7 @@ def is_explorer(output):
 
 
 def live_pages(path, notebook):
-    """Run a notebook and save every explorer that it shows as a page; returns {cell id: file name}."""
+    """Run a notebook up to its last explorer and save each as a page; returns {cell id: file name}."""
     saved, run = {}, nbformat.from_dict(notebook)
     cells = []
     for cell in run.cells:
@@ -47,9 +47,9 @@ def live_pages(path, notebook):
         if any(is_explorer(output) for output in cell.get("outputs", [])):
             saved[cell.id] = f"{path.stem}-{cell.id}.html"
             cells.append(new_code_cell(f"Out[max(Out)].save_html({str(PAGES / saved[cell.id])!r})"))
+            run.cells = cells[:]  # nothing below the last explorer
     if saved:
         PAGES.mkdir(parents=True, exist_ok=True)
-        run.cells = cells
         with tempfile.TemporaryDirectory() as folder:  # nothing that a cell writes may end up beside the notebooks
             NotebookClient(run, timeout=300, resources={"metadata": {"path": folder}}).execute()
     return saved

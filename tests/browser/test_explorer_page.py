@@ -1,7 +1,6 @@
 """The explorer in a real browser, in a page without a kernel: its numbers read back from the page."""
 
 import itertools
-import os
 
 import numpy as np
 import pytest
@@ -42,27 +41,42 @@ def explorers(drive, steps):
     }
 
 
-@pytest.fixture
-def opened(chromium, explorers, tmp_path):
-    """Function that opens the page of an explorer; afterwards nothing has been complained about or asked for."""
-    pages = []
+@pytest.fixture(scope="module")
+def folder(explorers, tmp_path_factory):
+    """Where the page of each explorer is."""
+    folder = tmp_path_factory.mktemp("explorers")
+    for name, explorer in explorers.items():
+        explorer.save_html(folder / f"{name}.html")
+    return folder
 
-    def open_page(name, width=1100, height=760, **context):
-        path = explorers[name].save_html(tmp_path / f"{name}.html")
-        page = chromium.new_context(viewport={"width": width, "height": height}, **context).new_page()
-        listen(page, path.as_uri())
-        page.goto(path.as_uri())
-        page.wait_for_function("() => document.querySelector('.vx')?.explorer.state().map.length")
-        pages.append(page)
-        return page
+
+@pytest.fixture(scope="module")
+def tab(chromium, folder):
+    """A tab for test after test: a new one is a new process, which takes longer than most of them."""
+    tab = chromium.new_page()
+    listen(tab, folder.as_uri())
+    return tab
+
+
+@pytest.fixture
+def opened(tab, folder, request):
+    """Function that opens the page of an explorer; afterwards nothing has been complained about or asked for."""
+    def open_page(name, width=1100, height=760, color_scheme="light", reduced_motion="no-preference"):
+        tab.emulate_media(color_scheme=color_scheme, reduced_motion=reduced_motion)
+        tab.set_viewport_size({"width": width, "height": height})
+        return load(tab, folder, name)
 
     yield open_page
     SCREENSHOTS.mkdir(exist_ok=True)
-    for n, page in enumerate(pages):
-        name = os.environ["PYTEST_CURRENT_TEST"].split("::")[1].split(" ")[0].translate({ord("["): "_", ord("]"): None})
-        page.screenshot(path=SCREENSHOTS / f"{name}_{n}.png")
-        page.context.close()
-    assert [page.complaints for page in pages] == [[]] * len(pages)
+    tab.screenshot(path=SCREENSHOTS / f"{request.node.name.translate({ord('['): '_', ord(']'): None})}.png")
+    complaints, tab.complaints = tab.complaints, []
+    assert complaints == []
+
+
+def load(page, folder, name):
+    page.goto((folder / f"{name}.html").as_uri())
+    page.wait_for_function("() => document.querySelector('.vx')?.explorer.state().map.length")
+    return page
 
 
 def state(page):
@@ -326,8 +340,8 @@ def test_the_theme_is_that_of_the_page(opened, name, scheme):
 
 
 @pytest.mark.parametrize("ratio", [1, 2])
-def test_canvases_are_as_sharp_as_the_screen(opened, ratio):
-    page = opened("joint", device_scale_factor=ratio)
+def test_canvases_are_as_sharp_as_the_screen(chromium, folder, ratio):
+    page = load(chromium.new_page(device_scale_factor=ratio), folder, "joint")
     sizes = page.evaluate("() => [...document.querySelectorAll('.vx canvas')].map(c => c.width / c.clientWidth)")
     assert sizes == pytest.approx([ratio] * len(sizes), rel=0.01)
 

@@ -56,10 +56,13 @@ def server(tmp_path_factory):
         yield address
 
 
-@pytest.mark.parametrize("front_end", FRONT_ENDS)
+def installed(front_end):
+    missing = importlib.util.find_spec(front_end) is None
+    return pytest.param(front_end, marks=pytest.mark.skipif(missing, reason=f"{front_end} is not installed"))
+
+
+@pytest.mark.parametrize("front_end", [installed(name) for name in FRONT_ENDS])
 def test_a_front_end_drives_the_explorer_and_a_panel(front_end, chromium, server):
-    if importlib.util.find_spec(front_end) is None:
-        pytest.skip(f"{front_end} is not installed")
     path, run = FRONT_ENDS[front_end]
     page = chromium.new_page(viewport={"width": 1366, "height": 900})
     errors = []
