@@ -7,7 +7,7 @@ import numpy as np
 import picture_checks
 import pytest
 from scipy import stats
-from whole import WHOLE
+from whole import WHOLE, few
 
 from vislam_edu import recordings, se3, simulate
 from vislam_edu.audit import audit, calibration_checks, cures, imu_alignment, track_health, visual_odometry
@@ -15,7 +15,7 @@ from vislam_edu.cli import main
 from vislam_edu.simulate import faults
 from vislam_edu.stereo import StereoCamera
 
-SEEDS = (11, 12) if WHOLE else (11,)
+SEEDS = few(1, (11, 12))
 
 
 @cache
@@ -44,7 +44,7 @@ def by(twist_factors, drive):
 # --- clean drives -----------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("seed", range(20 if WHOLE else 10))
+@pytest.mark.parametrize("seed", few(6, range(20)))
 def test_clean_drives_raise_no_alarm(seed):
     report = audit(street(seed, frames=120))
     assert not report.findings, str(report)
@@ -62,7 +62,7 @@ def test_clean_drives_raise_no_alarm(seed):
     ],
 )
 def test_clean_drives_of_other_noise_raise_no_alarm(noise):
-    for seed, frames in ((20, 60), (21, 150), (22, 200)):
+    for seed, frames in few(1, ((21, 150), (20, 60), (22, 200))):
         report = audit(street(seed, frames, **noise))
         assert not report.findings, str(report)
 
@@ -79,7 +79,7 @@ def test_clean_drives_with_other_mounting_and_reading():
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-@pytest.mark.parametrize("signs", [(1, -1, -1), (-1, 1, -1), (-1, -1, 1)])
+@pytest.mark.parametrize("signs", few(1, [(-1, 1, -1), (1, -1, -1), (-1, -1, 1)]))
 def test_flipped_axes(seed, signs):
     drive = street(seed)
     report = found_and_cured(faults.flip_imu_axes(drive, signs), "IMU axes")
@@ -101,7 +101,7 @@ def test_turned_axes():
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-@pytest.mark.parametrize("axis", [1, 2])
+@pytest.mark.parametrize("axis", few(1, [2, 1]))
 def test_mirrored_gyro_axis(seed, axis):
     signs = np.ones(6)
     signs[3 + axis] = -1
@@ -111,7 +111,7 @@ def test_mirrored_gyro_axis(seed, axis):
     np.testing.assert_array_equal(report.cured().twists, drive.twists)
 
 
-@pytest.mark.parametrize("degrees", [(0, 0, 5.0), (0, 3.0, 0)])
+@pytest.mark.parametrize("degrees", few(1, [(0, 3.0, 0), (0, 0, 5.0)]))
 def test_misalignment(degrees):
     turn = se3.so3_exp(np.radians(degrees))
     report = found_and_cured(cures.rotate_extrinsics(turn)(street(11)), "misalignment")
@@ -128,7 +128,7 @@ def test_translation_the_wrong_way_round(seed):
     np.testing.assert_allclose(report.cured().camera.cam_T_imu, drive.camera.cam_T_imu, atol=1e-12)
 
 
-@pytest.mark.parametrize("error", [(0, 0, -2.5), (-1.2, 0, 0), (-3, 0, 1)])
+@pytest.mark.parametrize("error", few(1, [(-1.2, 0, 0), (0, 0, -2.5), (-3, 0, 1)]))
 def test_lever_arm(error):
     """error : m, of the IMU's position in the camera frame: ahead, sideways, both."""
     drive = street(12)
@@ -138,7 +138,7 @@ def test_lever_arm(error):
     assert report["lever arm"].cure.needs_future
 
 
-@pytest.mark.parametrize("bias", [(0.02, 0.02, 0.02), (0.05, 0, -0.03), (0, 0, 0.3)])
+@pytest.mark.parametrize("bias", few(1, [(0.05, 0, -0.03), (0.02, 0.02, 0.02), (0, 0, 0.3)]))
 def test_gyro_bias(bias):
     report = found_and_cured(faults.add_gyro_bias(street(11), bias), "gyro bias")
     error = report.alignment.sigma(imu_alignment.GYRO_BIAS)
@@ -147,7 +147,7 @@ def test_gyro_bias(bias):
     assert report["gyro bias"].cure.needs_future
 
 
-@pytest.mark.parametrize("samples", [1, 2, 3])
+@pytest.mark.parametrize("samples", few(1, [2, 1, 3]))
 def test_late_imu(samples):
     drive = street(11)
     report = found_and_cured(faults.delay_imu(drive, samples), "IMU timing")
@@ -164,7 +164,7 @@ def test_reading_in_between():
     assert report.cured().imu_sample == "mean"
 
 
-@pytest.mark.parametrize("scale", [0.93, 1.1, 3.6])
+@pytest.mark.parametrize("scale", few(1, [0.93, 1.1, 3.6]))
 def test_speed_in_other_units(scale):
     report = found_and_cured(by([scale] * 3 + [1] * 3, street(11)), "scale conflict")
     assert report["scale conflict"].size == pytest.approx(scale, rel=0.02)
@@ -181,7 +181,7 @@ def test_a_scale_that_either_sensor_may_have_wrong_is_reported_and_not_cured():
     assert finding.size == pytest.approx(0.974, abs=0.005)
 
 
-@pytest.mark.parametrize("scale", [0.8, 1.25, 57.3])
+@pytest.mark.parametrize("scale", few(1, [1.25, 0.8, 57.3]))
 def test_gyro_in_other_units(scale):
     report = found_and_cured(by([1] * 3 + [scale] * 3, street(11)), "gyro scale")
     assert report["gyro scale"].size == pytest.approx(scale, rel=0.06)
@@ -190,7 +190,7 @@ def test_gyro_in_other_units(scale):
 # --- planted faults: the tracks ---------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("frames", [None, [25, 50, 75, 100, 125], [90]])
+@pytest.mark.parametrize("frames", few(2, [None, [90], [25, 50, 75, 100, 125]]))
 def test_copy_frames(frames):
     drive = street(11)
     expected = np.unique(drive.first_seen[drive.first_seen > 0]) if frames is None else np.array(frames)
@@ -219,7 +219,7 @@ def test_single_frozen_tracks_are_not_copy_frames():
     assert "frozen tracks" not in audit(report.cured())
 
 
-@pytest.mark.parametrize("share", [0.02, 0.1, 0.3])
+@pytest.mark.parametrize("share", few(1, [0.1, 0.02, 0.3]))
 def test_outlier_tracks(share):
     report = audit(street(11, frames=250, outlier_share=share))
     assert "outlier tracks" in report
@@ -248,8 +248,7 @@ def test_pair_that_is_not_rectified():
     assert report["row offset"].size == pytest.approx(1.5, abs=0.05)
 
 
-@pytest.mark.parametrize("sign", [1, -1])
-@pytest.mark.parametrize("seed", [0, 1, 2])
+@pytest.mark.parametrize(("seed", "sign"), few(2, [(0, 1), (1, -1), (0, -1), (1, 1), (2, 1), (2, -1)]))
 def test_lens_that_is_not_what_the_calibration_says(seed, sign):
     """The clean drives above raise neither alarm."""
     drive = street(seed, frames=120)
@@ -264,11 +263,11 @@ def test_lens_that_is_not_what_the_calibration_says(seed, sign):
 
 
 def test_halves_of_clean_drives_differ_by_noise_alone():
-    """The squared distance is 6 times F(6, 6 pieces): its mean over 12 drives stays within four standard errors."""
-    halves = [calibration_checks.halves_by_place(street(seed, frames=120)) for seed in range(12)]
+    """The squared distance is 6 times F(6, 6 pieces): its mean over drives stays within four standard errors."""
+    halves = [calibration_checks.halves_by_place(street(seed, frames=120)) for seed in few(6, range(12))]
     dof = 6 * halves[0].pieces
     mean, spread = 6 * stats.f.mean(6, dof), 6 * stats.f.std(6, dof)
-    assert abs(np.mean([half.distance2 for half in halves]) - mean) < 4 * spread / 12**0.5
+    assert abs(np.mean([half.distance2 for half in halves]) - mean) < 4 * spread / len(halves)**0.5
 
 
 def test_missing_frames():
@@ -371,7 +370,8 @@ def test_03():
     assert report.cured().imu_sample == "k+1"
     assert report.facts["disparities at or below 0 px"] == 621
     assert report.facts["disparities below 1 px"] == 1408
-    assert faults_of(audit(report.cured())) <= {"row saddle", "split halves", "scale conflict"}  # no cure for these
+    if WHOLE:
+        assert faults_of(audit(report.cured())) <= {"row saddle", "split halves", "scale conflict"}  # no cure for these
     assert report["row saddle"].size == pytest.approx(-0.75, abs=0.2)
     assert report["scale conflict"].size == pytest.approx(0.973, abs=0.005)
 
@@ -386,4 +386,5 @@ def test_0027():
     np.testing.assert_allclose(report.noise.sigma_omega, 0.05, rtol=0.2)
     assert report.cured().imu_sample == "k+1"
     assert report["row saddle"].size == pytest.approx(-3.9, abs=0.4)
-    assert faults_of(audit(report.cured())) == {"row saddle"}  # which has no cure
+    if WHOLE:
+        assert faults_of(audit(report.cured())) == {"row saddle"}  # which has no cure

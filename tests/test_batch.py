@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numerical import central_difference
+from whole import WHOLE
 
 from vislam_edu import batch, metrics, recordings, se3, simulate, window_slam
 from vislam_edu.audit import audit
@@ -190,7 +191,7 @@ def test_batch_is_more_accurate_than_the_filter():
     """Mean over six seeds: at most 0.9 of the filter's RMSE; cost within the chi-square band of its residuals."""
     filtered, batched = [], []
     for seed in range(6):
-        drive = simulate.street_loop(seed, frames=300, visible=40)
+        drive = simulate.street_loop(seed, frames=150, visible=20)
         poses = np.array([s.posterior.world_T_imu for s in window_slam.run(drive, Noise())])
         problem = batch.Problem(drive, Noise())
         solution = batch.solve(problem)
@@ -212,7 +213,7 @@ def test_bias_and_scale_of_the_imu_are_found():
 
 
 def test_a_robust_loss_forgets_planted_outliers():
-    clean = simulate.perfect_street_loop(seed=5, frames=150, visible=40)
+    clean = simulate.perfect_street_loop(seed=5, frames=100, visible=30)
     drive = simulate.add_noise(faults.outlier_tracks(clean, 0.1, seed=5), seed=5)
 
     def rmse(loss):
@@ -245,6 +246,7 @@ def test_drift_on_the_real_drive():
     assert metrics.kitti_drift(drive.truth_world_T_cam, world_T_cam)[0] <= 1.45
 
 
+@pytest.mark.skipif(not WHOLE, reason="3 s; the drive above converges too")
 def test_the_recording_without_truth_converges():
     costs = [step.cost for step in batch.iterate(real("03"), tolerance=pipeline.REAL_TOLERANCE)]
     assert costs == sorted(costs, reverse=True)

@@ -57,7 +57,7 @@ def test_what_is_added_is_the_sum_of_what_moved(street):
 
 def test_lens_errors_make_a_filter_too_sure_and_turning_the_knobs_cures_it():
     """The sickness of real drives, planted: hundreds for NEES where 6 is right, single figures when considered."""
-    drive = simulate.street_loop(seed=3, frames=400, visible=25)
+    drive = simulate.street_loop(seed=3, frames=250, visible=25)
     bent = faults.baseline_error(faults.lens_error(drive, disparity_with_u_2=-3.0, row_saddle=-3.0), 1.008)
     noise, error_state = Noise(), RightInvariant()
     slam = pipeline.joint(bent, noise, error_state, **OPTIONS)

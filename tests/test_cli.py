@@ -190,6 +190,7 @@ def test_real_recording_without_truth(path, tmp_path):
     assert sorted(json.loads((tmp_path / "summary.json").read_text())) == sorted(KEYS + SENTENCES)
 
 
+@pytest.mark.usefixtures("no_figures")
 @pytest.mark.parametrize("path", [shared("0027.npz")])
 def test_real_recording_whose_truth_ends_early(path, tmp_path):
     truth = SHARED / "0027_ground_truth.txt"

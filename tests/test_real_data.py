@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from evo.core.trajectory import PosePath3D
 from evo.tools import file_interface
+from whole import WHOLE
 
 from vislam_edu import cli as command_line
 from vislam_edu import recordings, simulate
@@ -43,7 +44,8 @@ def run(folder, *arguments):
 
 @pytest.fixture(scope="module")
 def run_0027(tmp_path_factory):
-    arguments = recording("0027.npz"), "--ground-truth", recording("0027_ground_truth.txt"), "--calibration"
+    arguments = recording("0027.npz"), "--ground-truth", recording("0027_ground_truth.txt")
+    arguments += ("--calibration",) if WHOLE else ()  # eight runs in place of one
     return run(tmp_path_factory.mktemp("0027") / "out", *arguments)
 
 
@@ -56,11 +58,14 @@ def test_0027_against_ground_truth(run_0027):
     _, numbers = run_0027
     assert numbers["drift_percent"] <= 1.40
     assert numbers["ate_m"] <= 3.0
-    assert numbers["nees_pose_with_calibration"] <= 10 < numbers["nees_pose"]
-    assert numbers["inside_3_sigma_with_calibration"] >= 0.95
+    assert numbers["nees_pose"] > 10
     assert numbers["warnings"] == []
+    if WHOLE:
+        assert numbers["nees_pose_with_calibration"] <= 10
+        assert numbers["inside_3_sigma_with_calibration"] >= 0.95
 
 
+@pytest.mark.skipif(not WHOLE, reason="another 5 s of 0027; on simulated drives the command line's tests do it")
 def test_0027_with_the_cures_that_need_no_future(tmp_path, monkeypatch):
     monkeypatch.setattr(report_figures, "FIGURES", {})  # drawn for the run above
     arguments = recording("0027.npz"), "--ground-truth", recording("0027_ground_truth.txt"), "--causal"
@@ -155,9 +160,12 @@ def test_the_stored_study_keeps_what_chapter_8_says_of_it():
 def test_the_stored_study_is_what_the_package_gives(run_0027):
     """0027.npz through the command line and through the benchmark: the same filter, the same numbers."""
     study = json.loads((BENCHMARKS / "results" / "real_drives.json").read_text())["0027"]
-    [row] = [row for row in study["treatments"] if row["name"] == "and calibration considered"]
-    assert run_0027[1]["drift_percent"] == pytest.approx(row["drift_percent"], rel=0.05)
-    assert run_0027[1]["nees_pose_with_calibration"] == pytest.approx(row["mean_nees"], rel=0.1)
+    rows = {row["name"]: row for row in study["treatments"]}
+    assert run_0027[1]["drift_percent"] == pytest.approx(rows["and the IMU's metre"]["drift_percent"], rel=0.05)
+    assert run_0027[1]["nees_pose"] == pytest.approx(rows["and the IMU's metre"]["mean_nees"], rel=0.1)
+    if WHOLE:
+        considered = rows["and calibration considered"]["mean_nees"]
+        assert run_0027[1]["nees_pose_with_calibration"] == pytest.approx(considered, rel=0.1)
 
 
 def test_without_gtsam_the_reference_says_what_to_install(monkeypatch):

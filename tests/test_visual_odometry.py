@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from scipy.stats import chi2
+from whole import few
 
 from vislam_edu import recordings, se3, simulate
 from vislam_edu.audit import cures, visual_odometry
@@ -74,7 +75,7 @@ def test_noise_of_the_first_frame_is_carried_into_the_second():
 @pytest.mark.parametrize("sigma_px", [0.2, 0.7])
 def test_covariance_is_what_the_errors_show(sigma_px):
     nees = []
-    for seed in range(4):
+    for seed in few(2, range(4)):
         drive = simulate.street_loop(seed, frames=FRAMES, loop_length=500, sigma_px=sigma_px)
         motions = visual_odometry.estimate(drive)
         e, P = errors(drive, motions), motions.covariance[motions.ok]
@@ -86,7 +87,7 @@ def test_covariance_is_what_the_errors_show(sigma_px):
 
 @pytest.mark.parametrize("sigma_px", [0.1, 0.7, 1.5])
 def test_pixel_noise_is_measured(sigma_px):
-    for seed in range(3):
+    for seed in few(1, range(3)):
         drive = simulate.street_loop(seed, frames=FRAMES, loop_length=500, sigma_px=sigma_px)
         assert visual_odometry.estimate(drive).sigma_px == pytest.approx(sigma_px, rel=0.05)
         assert visual_odometry.row_noise(drive.pixels) == pytest.approx(sigma_px, rel=0.05)
