@@ -195,7 +195,9 @@ def close_once(seed):
         return np.sqrt(np.diag(A @ shown.covariance @ A.T))
 
     both_have = np.intersect1d(before.ids, after.ids)
+    _, new, old = np.transpose(closing.fused)
     return {"nees": (nees(before), nees(after)), "chosen": chosen,
+            "in view for": k - drive.first_seen[new], "lost for": k - drive.last_seen[old],
             "grown": (sigma(after, both_have) / sigma(before, both_have)).max(),
             "error": [np.linalg.norm(truth[:3, 3] - b.world_T_imu[:3, 3]) for b in (before, after)]}
 
@@ -228,6 +230,11 @@ def test_joint_compatibility_is_wrong_more_rarely_than_its_rivals(closings):
     wrong = {name: sum(c["chosen"][name][1] > 0 for c in closings) for name in closings[0]["chosen"]}
     assert wrong["joint_compatibility"] <= binom.ppf(0.999, len(closings), 0.05)
     assert wrong["joint_compatibility"] < wrong["sequential"] < wrong["nearest_neighbour"]
+
+
+def test_only_places_in_view_for_a_while_are_fused_and_only_with_those_lost_for_long(closings):
+    assert min(c["in view for"].min() for c in closings) == association.LoopClosing.settled
+    assert min(c["lost for"].min() for c in closings) > association.LoopClosing.forgotten
 
 
 def no_overlap(seed):

@@ -85,6 +85,12 @@ def test_every_chapter_is_one_click_away_and_its_mathematics_is_set(page, site):
         assert page.locator("img:not([alt])").count() == 0
 
 
+def test_a_chapter_shows_its_live_explorer(page, site):
+    page.goto(f"{site}notebooks/05_vi_slam.html")
+    page.locator("iframe").first.scroll_into_view_if_needed()  # it is loaded when it is looked at
+    page.frame_locator("iframe").first.locator("input[type=range]").first.wait_for()
+
+
 def test_pictures_keep_their_alternative_text(page, site):
     page.goto(f"{site}notebooks/02_stereo_triangulation.html")
     alts = page.locator("article img").evaluate_all("images => images.map(image => image.alt)")
