@@ -203,8 +203,7 @@ def test_cross_covariances_matter():
 
 
 def test_without_cross_covariance_leaves_no_cross_covariance(small):
-    for step in window_slam.run(small.slice(0, 10), NOISE,
-                                process_frame=broken_filters.without_cross_covariance):
+    for step in window_slam.run(small.slice(0, 10), NOISE, process_frame=broken_filters.without_cross_covariance):
         P = step.posterior.covariance
         n = len(step.posterior.ids)
         blocks = P[:3 * n, :3 * n].reshape(n, 3, n, 3)

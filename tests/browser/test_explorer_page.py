@@ -341,9 +341,13 @@ def test_the_theme_is_that_of_the_page(opened, name, scheme):
 
 @pytest.mark.parametrize("ratio", [1, 2])
 def test_canvases_are_as_sharp_as_the_screen(chromium, folder, ratio):
-    page = load(chromium.new_page(device_scale_factor=ratio), folder, "joint")
+    page = chromium.new_page(device_scale_factor=ratio)
+    listen(page, folder.as_uri())
+    load(page, folder, "joint")
     sizes = page.evaluate("() => [...document.querySelectorAll('.vx canvas')].map(c => c.width / c.clientWidth)")
     assert sizes == pytest.approx([ratio] * len(sizes), rel=0.01)
+    assert page.complaints == []
+    page.close()
 
 
 @pytest.mark.parametrize("name", ["joint", "two", "mapping"])

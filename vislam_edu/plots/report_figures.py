@@ -147,8 +147,8 @@ def _draw_moves(axes, view, before, after, colour, covered):
         axes = drawing.draw_inset(axes, centre, half, _emptiest(view, covered), "moves seen from above (m)")
         shown, width, label = np.linalg.norm(start + move / 2 - centre, ord=np.inf, axis=-1) < half, 0.012, None
     else:
-        every = -(-len(both) // ELLIPSES)
-        shown, width, label = slice(None, None, every), 0.003, f"moves of one landmark in {every}"
+        every, which = _some_of(both)
+        shown, width, label = slice(None, None, every), 0.003, f"moves of {which}"
     axes.quiver(*start[shown].T, *move[shown].T, angles="xy", scale_units="xy", scale=1, width=width, color=colour,
                 label=label)
 
@@ -180,13 +180,18 @@ def _draw_some_ellipses(axes, view, belief, method):
     """
     shown = np.flatnonzero(belief.seen)
     shown = shown[drawing.inside(view, belief.landmarks[shown])]
-    every, longest = max(1, -(-len(shown) // ELLIPSES)), (view[1] - view[0]) / 10
+    (every, which), longest = _some_of(shown), (view[1] - view[0]) / 10
     shown = shown[::every]
     outlines = style.ellipse_points(np.zeros(2), belief.covariance[shown, :2, :2])
     shown = shown[2 * np.linalg.norm(outlines, axis=-1).max(axis=-1) <= longest]
-    which = f"one landmark in {every}" if every > 1 else "each landmark"
     label = f"95 % of {which}, if under {longest:.0f} m long"
     drawing.draw_ellipses(axes, belief.landmarks[shown], belief.covariance[shown], style.COLOURS[method], label)
+
+
+def _some_of(landmarks):
+    """The step from one landmark to the next that is drawn with more than a dot, and which those are, in words."""
+    every = max(1, -(-len(landmarks) // ELLIPSES))
+    return every, f"one landmark in {every}" if every > 1 else "each landmark"
 
 
 def _view(drive, *trajectories):

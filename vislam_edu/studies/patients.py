@@ -233,9 +233,8 @@ FAULTS: dict[str, Fault] = {
     "copy": Fault("correction", "missing", _fixed(_state(museum.LandmarksOnACopy)), seen_by=("update",)),
     "order": Fault("correction", "order", _fixed(_state(museum.GroupedOrder)), seen_by=("update",)),
     "gain": Fault("correction", "factor", _gain, (0.4, 1.6), seen_by=("update",)),
-    "never": Fault("covariance after the update", "missing", _fixed({
-        "process_frame": museum.without_cross_covariance}),
-        seen_by=("standing still", "update")),
+    "never": Fault("covariance after the update", "missing", _fixed({"process_frame": museum.without_cross_covariance}),
+                   seen_by=("standing still", "update")),
     "cross": Fault("predicted covariance", "missing", _fixed({"motion_model": museum.CrossNotPropagated}),
                    levels=(2, 3), seen_by=("predict",)),
     "F transposed": Fault("predicted covariance", "sign", _fixed(_transition(se3.adjoint)), seen_by=("predict",)),
