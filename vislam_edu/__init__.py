@@ -25,6 +25,7 @@ se3                     SO(3) and SE(3): exp, log, adjoint, Jacobians
 stereo                  the camera model
 noise                   standard deviations and covariances of the sensors
 drive                   recordings in memory
+belief                  what a filter believes and what it saw: Belief, Innovation, Step
 kalman                  the Gaussian algebra of a Kalman filter
 odometry                the pose: from the IMU alone, and on a known map
 mapping                 the map on known poses
@@ -43,7 +44,8 @@ plots                   room: still pictures
 audit                   room: a recording's sensors compared with each other
 studies                 room: filters over whole drives
 widgets                 room: explorer and panels
-exercises               room: checks of a student's functions
+
+The course on top of these, `vislam_edu.course`, is imported by the notebooks alone.
 
 A name is loaded when it is first used, so importing the package costs nothing and changes nothing.
 """
@@ -56,10 +58,10 @@ if TYPE_CHECKING:
         association,
         audit,
         batch,
+        belief,
         drive,
         ekf_slam,
         error_state,
-        exercises,
         kalman,
         mapping,
         metrics,
@@ -85,8 +87,8 @@ if TYPE_CHECKING:
 
 __version__ = "0.2.0"
 __all__ = [
-    "Drive", "Noise", "RightInvariant", "RightPerturbation", "StereoCamera", "association", "audit", "batch",
-    "drive", "ekf_slam", "error_state", "exercises", "kalman", "load", "mapping", "metrics", "motion",
+    "Drive", "Noise", "RightInvariant", "RightPerturbation", "StereoCamera", "association", "audit", "batch", "belief",
+    "drive", "ekf_slam", "error_state", "kalman", "load", "mapping", "metrics", "motion",
     "noise", "odometry", "plots", "recordings", "robust", "se3", "simulate", "smoother", "stereo", "studies", "widgets",
     "window_slam",
 ]
