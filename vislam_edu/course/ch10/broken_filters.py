@@ -12,7 +12,7 @@ from scipy.linalg import block_diag
 
 from ... import motion, se3, window_slam
 from ...error_state import RightPerturbation
-from ...plots import style
+from ...plots.text import two_digits
 from ...stereo import StereoCamera
 from ...studies.runs import Run, attempt
 
@@ -244,7 +244,7 @@ class Visit:
 
 
 def _capped(value, most) -> str:
-    return style.two_digits(value) if value <= most else f"> {most}"
+    return two_digits(value) if value <= most else f"> {most}"
 
 
 def visit(piece, drive, noise, world_T_imu, gate=1) -> Visit:

@@ -19,7 +19,7 @@ import numpy as np
 from scipy import stats
 
 from ...belief import Step
-from ...plots import style
+from ...plots.text import PAGE
 from ...recordings.files import shown
 from . import clinic_tests
 from .clinic_tests import TESTS, Readings, bands, read
@@ -170,7 +170,7 @@ def _tuple(value) -> tuple[str, ...]:
 
 
 def _wrapped(text) -> str:
-    return textwrap.fill(text, style.PAGE, subsequent_indent="  ")
+    return textwrap.fill(text, PAGE, subsequent_indent="  ")
 
 
 def _number(value) -> str:
