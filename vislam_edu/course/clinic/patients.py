@@ -23,17 +23,37 @@ from ..ch10.broken_filters import wrong
 
 HEALTHY = "nothing"
 
-# Where a piece sits: the seam of a Build that a cure replaces.
-SEAMS = {
-    "camera Jacobian": "camera", "triangulation": "camera",
-    "landmark Jacobian": "error_state", "pose Jacobian": "error_state", "correction": "error_state",
-    "predicted pose": "motion_model", "predicted covariance": "motion_model",
-    "new landmarks": "process_frame", "covariance after the update": "process_frame",
-    "noise values": "noise", "IMU": "recording", "tracks": "recording", "extrinsics": "recording",
+PIECES = {
+    "camera Jacobian": "the derivative of the pixels by the point in the camera frame",
+    "triangulation": "the point in the camera frame, from its pixels",
+    "landmark Jacobian": "H of the landmark: the derivative of the pixels by the point in the world",
+    "pose Jacobian": "H of the pose: the derivative of the pixels by its six errors",
+    "correction": "how the estimated error is put into the pose and the landmarks",
+    "predicted pose": "where the IMU moves the pose",
+    "predicted covariance": "how F and W move the covariance, cross terms included",
+    "new landmarks": "mean, covariance and correlation of a landmark at its birth, once measured",
+    "covariance after the update": "what the filter keeps of the covariance when a frame is done",
+    "noise values": "the sigmas that the filter believes of the IMU and of the pixels",
+    "IMU": "the IMU's samples in the recording",
+    "tracks": "the pixels in the recording, and which landmark they belong to",
+    "extrinsics": "where the recording says that the camera sits on the body",
+    HEALTHY: "no piece is wrong",
 }
-PIECES = (*SEAMS, HEALTHY)
-KINDS = ("sign", "transpose", "frame", "factor", "order", "units", "missing", "counted twice", "noise", "offset",
-         "timing", "outliers", HEALTHY)
+KINDS = {
+    "sign": "a sign is wrong, or an inverse is missing",
+    "transpose": "a matrix is transposed, or is not where it should be",
+    "frame": "a quantity of one frame is used as one of another",
+    "factor": "a quantity is a constant times what it should be",
+    "order": "entries stand in another order than the code assumes",
+    "units": "a number in one unit is used as one in another: degrees, pixels",
+    "missing": "a term or a step is left out",
+    "counted twice": "one measurement is used as two",
+    "noise": "more or less noise than is assumed",
+    "offset": "a constant is added",
+    "timing": "a value belongs to another time",
+    "outliers": "some values have nothing to do with the truth",
+    HEALTHY: "no piece is wrong",
+}
 
 
 def unchanged(value: Any) -> Any:
