@@ -1,4 +1,4 @@
-"""Visual-inertial SLAM with an extended Kalman filter, written to be read.
+"""Visual-inertial SLAM with an extended Kalman filter, written to be read. `vislam_edu.course` stands on it.
 
 Conventions, the same in every file and every notebook:
 
@@ -44,8 +44,6 @@ plots                   room: still pictures
 audit                   room: a recording's sensors compared with each other
 studies                 room: filters over whole drives
 widgets                 room: explorer and panels
-
-The course on top of these, `vislam_edu.course`, is imported by the notebooks alone.
 
 A name is loaded when it is first used, so importing the package costs nothing and changes nothing.
 """
