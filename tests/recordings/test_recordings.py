@@ -286,7 +286,7 @@ class Call:
 @pytest.mark.parametrize("place", ["alone", "in the dictionary"])
 def test_a_pickle_that_would_run_code_runs_nothing(tmp_path, npy_pickle, protocol, function, place):
     mark = tmp_path / "mark.npy"
-    call = {"os.system": Call(os.system, f"touch {mark}"),
+    call = {"os.system": Call(os.system, f"echo > {mark}"),
             "builtins.eval": Call(eval, f"open({str(mark)!r}, 'w')"),
             "builtins.open": Call(open, str(mark), "w"),
             "numpy.save": Call(np.save, str(mark), 1)}[function]
@@ -299,7 +299,7 @@ def test_a_pickle_that_would_run_code_runs_nothing(tmp_path, npy_pickle, protoco
 
 def test_the_attack_above_is_a_real_one(tmp_path):
     mark = tmp_path / "mark"
-    pickle.loads(pickle.dumps(Call(os.system, f"touch {mark}")))
+    pickle.loads(pickle.dumps(Call(os.system, f"echo > {mark}")))
     assert mark.exists()
 
 
