@@ -176,11 +176,22 @@ def perfect_street_loop(
             f"speed must be > 0, visible and redetect_every >= 1, "
             f"got {speed} m/s, {visible} and {redetect_every}"
         )
-    camera = kitti_camera() if camera is None else camera
     times = tau * np.arange(frames) + _stream(seed, _TIMES).uniform(-jitter / 2, jitter / 2, frames)
     times -= times[0]
     loop_length = max(speed * times[-1], SHORTEST_LOOP) if loop_length is None else loop_length
     world_T_imu = streets.drive_along(_stream(seed, _ROAD), times, speed, loop_length, hills, lane_change)
+    return along(world_T_imu, times, seed, visible=visible, life=life, mean_life=mean_life,
+                 redetect_every=redetect_every, depth=depth, returning=returning, camera=camera,
+                 image_size=image_size, name=name)
+
+
+def along(world_T_imu, times, seed=0, *, visible=60, life=(5, 100), mean_life=50.0, redetect_every=6,
+          depth=(5.0, 120.0), returning=0.0, camera=None, image_size=IMAGE_SIZE, name="path"):
+    """A noise-free `Drive` along any path: poses (T, 4, 4) at times (T,), s.
+
+    For the other arguments see `perfect_street_loop`. The world of the ground truth is that of the poses.
+    """
+    camera = kitti_camera() if camera is None else camera
     step = se3.log(se3.inverse(world_T_imu[:-1]) @ world_T_imu[1:]) / np.diff(times)[:, None]
     landmarks, frame, landmark, pixels = _tracks(
         _stream(seed, _TRACKS), world_T_imu, camera, visible=visible, life=life, mean_life=mean_life,
@@ -191,7 +202,7 @@ def perfect_street_loop(
         times=times,
         twists=np.concatenate([step, step[-1:]]),
         camera=camera,
-        frame_start=np.searchsorted(frame, np.arange(frames + 1)),
+        frame_start=np.searchsorted(frame, np.arange(len(times) + 1)),
         landmark=landmark,
         pixels=pixels,
         n_landmarks=len(landmarks),
