@@ -151,6 +151,14 @@ def state_of(belief: Belief) -> State:
     return State(T[:3, :3], T[:3, 3], values[:3], values[3:6], values[6:9])
 
 
+def true_states(start: np.ndarray, world_T_imu: np.ndarray, velocities: np.ndarray, biases: np.ndarray) -> list[State]:
+    """The truth in the world in which an estimate begins, at the pose `start` (4, 4): true poses (T, 4, 4), and (T, 3),
+    (T, 6)."""
+    W = in_world_of(start, world_T_imu[0])
+    poses, velocities = W @ world_T_imu, velocities @ W[:3, :3].T
+    return [State(T[:3, :3], T[:3, 3], v, b[:3], b[3:]) for T, v, b in zip(poses, velocities, biases)]
+
+
 def error(belief: Belief, true: State, error_state: ErrorState) -> np.ndarray:
     """(15,), the error [p, R, v, b_g, b_a] of a belief in its own coordinates: what its covariance speaks of."""
     mean = state_of(belief)
@@ -160,6 +168,17 @@ def error(belief: Belief, true: State, error_state: ErrorState) -> np.ndarray:
 
     return np.concatenate([difference(true.position, mean.position), difference(true.velocity, mean.velocity)[:3],
                            true.difference(mean)[imu.BIASES]])
+
+
+def in_world_of(start: np.ndarray, world_T_imu: np.ndarray) -> np.ndarray:
+    """W (4, 4), which takes a world with z up to the one in which an estimate begins, at the pose `start` (4, 4).
+
+    world_T_imu : (4, 4), the true pose there. A turn about up and a shift: the four numbers that no IMU and no camera
+    measures. What remains between W world_T_imu and `start` is an error of roll and pitch.
+    """
+    turn = start[:3, :3] @ world_T_imu[:3, :3].T
+    R = se3.so3_exp([0, 0, np.arctan2(turn[1, 0] - turn[0, 1], turn[0, 0] + turn[1, 1])])
+    return se3.pose(R, start[:3, 3] - R @ world_T_imu[:3, 3])
 
 
 def still_until(samples: ImuSamples, start: float = -np.inf, window: float = 0.2) -> float:
@@ -180,8 +199,8 @@ def still_until(samples: ImuSamples, start: float = -np.inf, window: float = 0.2
 def initial(samples: ImuSamples, start: float, least: float = 0.5) -> tuple[State, np.ndarray]:
     """State and covariance (15, 15), order of `imu`, at time `start`, s, from a stand-still of `least` s.
 
-    Where there is none the mean of the accelerometer over that time is still the best guess of where up is, but it holds the
-    car's own acceleration: 1 m/s^2 is a tilt of 0.1 rad. The biases are then zero and the velocity unknown, each with
+    Where there is none the mean of the accelerometer over that time is still the best guess of where up is, but it
+    holds the car's own acceleration: 1 m/s^2 is a tilt of 0.1 rad. The biases are then zero and the velocity unknown, each with
     its full uncertainty, and the cameras have to find them.
     """
     end = still_until(samples, start)
