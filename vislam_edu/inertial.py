@@ -30,7 +30,7 @@ from .imu import ADIS16448, ImuNoise, State
 from .kalman import Belief
 from .noise import Noise
 
-BIAS_SIGMA = np.repeat([0.02, 0.2], 3)  # rad/s and m/s^2, what a bias may be before anything was measured
+BIAS_SIGMA = np.repeat([0.1, 0.2], 3)  # rad/s and m/s^2, what a bias may be before anything was measured
 STILL = 0.02, 0.3  # rad/s and m/s^2: how far the samples of an IMU at rest may spread
 _FROM_IMU = np.r_[3:6, 0:3, 6:15]  # of the order [p, R, ...] of a filter: the place of each number of [R, p, ...]
 
@@ -196,7 +196,7 @@ def still_until(samples: ImuSamples, start: float = -np.inf, window: float = 0.2
     return float(times[moving[0]]) if moving.size else float(times[-1])
 
 
-def initial(samples: ImuSamples, start: float, least: float = 0.5) -> tuple[State, np.ndarray]:
+def initial(samples: ImuSamples, start: float, least: float = 0.3) -> tuple[State, np.ndarray]:
     """State and covariance (15, 15), order of `imu`, at time `start`, s, from a stand-still of `least` s.
 
     Where there is none the mean of the accelerometer over that time is still the best guess of where up is, but it
