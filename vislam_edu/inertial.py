@@ -24,10 +24,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from . import imu, motion, se3
+from .belief import Belief
 from .drive import Drive, DriveError
 from .error_state import ErrorState
 from .imu import ADIS16448, ImuNoise, State
-from .kalman import Belief
 from .noise import Noise
 
 BIAS_SIGMA = np.repeat([0.1, 0.2], 3)  # rad/s and m/s^2, what a bias may be before anything was measured
