@@ -38,6 +38,8 @@ robust                  weights and slipping landmarks for real tracks
 smoother                the final estimate of every landmark
 batch                   the whole drive at once: least squares over poses and landmarks
 association             which landmarks are the same place, and closing the loop
+imu                     a real IMU: gravity, biases, preintegration
+inertial                the joint filter with a real IMU
 recordings              room: files
 simulate                room: drives with ground truth
 plots                   room: still pictures
@@ -60,6 +62,8 @@ if TYPE_CHECKING:
         drive,
         ekf_slam,
         error_state,
+        imu,
+        inertial,
         kalman,
         mapping,
         metrics,
@@ -86,7 +90,7 @@ if TYPE_CHECKING:
 __version__ = "0.2.0"
 __all__ = [
     "Drive", "Noise", "RightInvariant", "RightPerturbation", "StereoCamera", "association", "audit", "batch", "belief",
-    "drive", "ekf_slam", "error_state", "kalman", "load", "mapping", "metrics", "motion",
+    "drive", "ekf_slam", "error_state", "imu", "inertial", "kalman", "load", "mapping", "metrics", "motion",
     "noise", "odometry", "plots", "recordings", "robust", "se3", "simulate", "smoother", "stereo", "studies", "widgets",
     "window_slam",
 ]
