@@ -37,6 +37,8 @@ robust                  weights and slipping landmarks for real tracks
 smoother                the final estimate of every landmark
 batch                   the whole drive at once: least squares over poses and landmarks
 association             which landmarks are the same place, and closing the loop
+lens                    distorted cameras, and the rectified pair
+tracking                from images to tracks
 recordings              room: files
 simulate                room: drives with ground truth
 plots                   room: still pictures
@@ -61,6 +63,7 @@ if TYPE_CHECKING:
         error_state,
         exercises,
         kalman,
+        lens,
         mapping,
         metrics,
         motion,
@@ -74,6 +77,7 @@ if TYPE_CHECKING:
         smoother,
         stereo,
         studies,
+        tracking,
         widgets,
         window_slam,
     )
@@ -86,9 +90,9 @@ if TYPE_CHECKING:
 __version__ = "0.2.0"
 __all__ = [
     "Drive", "Noise", "RightInvariant", "RightPerturbation", "StereoCamera", "association", "audit", "batch",
-    "drive", "ekf_slam", "error_state", "exercises", "kalman", "load", "mapping", "metrics", "motion",
-    "noise", "odometry", "plots", "recordings", "robust", "se3", "simulate", "smoother", "stereo", "studies", "widgets",
-    "window_slam",
+    "drive", "ekf_slam", "error_state", "exercises", "kalman", "lens", "load", "mapping", "metrics", "motion",
+    "noise", "odometry", "plots", "recordings", "robust", "se3", "simulate", "smoother", "stereo", "studies",
+    "tracking", "widgets", "window_slam",
 ]
 
 _DEFINED_IN = {"load": "recordings", "Drive": "drive", "Noise": "noise", "StereoCamera": "stereo",
