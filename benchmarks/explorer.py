@@ -28,11 +28,11 @@ import nbformat
 import numpy as np
 
 from vislam_edu import simulate, window_slam
+from vislam_edu.course.ch01.panel import TwistPicture
+from vislam_edu.course.ch02.panel import StereoDepthPicture
+from vislam_edu.course.ch10 import broken_filters
 from vislam_edu.noise import Noise
-from vislam_edu.studies import broken_filters
 from vislam_edu.widgets import Explorer, Panel
-from vislam_edu.widgets.stereo_depth import StereoDepthPicture
-from vislam_edu.widgets.twist import TwistPicture
 
 RESULTS = Path(__file__).with_name("results") / "explorer.json"
 PRESSES = 50

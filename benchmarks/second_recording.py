@@ -7,9 +7,9 @@ Half a minute. (`python -m vislam_edu run 10.npz --audit` measures the noise of 
 import argparse
 from pathlib import Path
 
+from vislam_edu.course.ch09 import second_recording
 from vislam_edu.error_state import RightInvariant
 from vislam_edu.noise import Noise
-from vislam_edu.studies import second_recording
 
 
 def main():

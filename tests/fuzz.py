@@ -22,9 +22,15 @@ from pathlib import Path
 
 import numpy as np
 from memory import peak
-from test_recordings import NPZ, PICKLED
 
 from vislam_edu import cli, recordings
+
+HERE = Path(__file__).resolve().parent
+sys.path += [str(HERE / "recordings"), str(HERE.parent / "tools")]
+
+from test_recordings import NPZ, PICKLED  # noqa: E402
+
+from notebooks import do as notebooks_tool  # noqa: E402
 
 MEMORY = 200e6  # bytes that one command may take for a file of a few kB
 ARRAYS = [np.nan, np.inf, -np.inf, 1e300, -1e150, 2.0**62, 0, -1, True, "text", 1j, [], [[]], "\x1b[31m\n=1+1",
@@ -181,7 +187,7 @@ def options(rng):
         "simulate --out a.npz --frames 10": ["--sigma-v", "--sigma-omega", "--sigma-px", "--outlier-share", "--seed",
                                              "--out"],
         "exercises --report nothing --out out": ["--limit", "--jobs", "--image"],
-        "exercises": ["--stubs", "--refresh"],
+        "exercises": ["--museum", "--report"],
         "info": ["--ground-truth", ""],
         "clinic hand-out --key key --out out": ["--patients", "--level", "--students"],
     }
@@ -193,7 +199,8 @@ def options(rng):
 
 
 def notebook(rng):
-    from vislam_edu.exercises import EXERCISES, cells
+    from vislam_edu.course.exercises import EXERCISES
+    from vislam_edu.course.grading import cells
 
     pair = [cell | {"outputs": []} for cell in cells.pair(EXERCISES["so3_hat"])]
     content = copy.deepcopy({"cells": pair, "metadata": {"kernelspec": {"name": "python3"}}, "nbformat": 4,
@@ -213,7 +220,7 @@ def notebook(rng):
             break
     text = json.dumps(content).encode()
     Path("a.ipynb").write_bytes(damaged(rng, text) if rng.random() < 0.2 else text)
-    return ["exercises", "--refresh", "a.ipynb"]
+    return ["notebooks", "--refresh", "a.ipynb"]
 
 
 @functools.cache
@@ -257,7 +264,8 @@ def _judged(words, leaves) -> str:
 
     def run():
         try:
-            status[0] = cli.main(words)
+            tool = words[0] == "notebooks"
+            status[0] = cli.main(words[1:], notebooks_tool) if tool else cli.main(words)
         except SystemExit as stopped:  # argparse leaves this way
             status[0] = stopped.code
 

@@ -1,4 +1,4 @@
-"""Visual-inertial SLAM with an extended Kalman filter, written to be read.
+"""Visual-inertial SLAM with an extended Kalman filter, written to be read. `vislam_edu.course` stands on it.
 
 Conventions, the same in every file and every notebook:
 
@@ -25,6 +25,7 @@ se3                     SO(3) and SE(3): exp, log, adjoint, Jacobians
 stereo                  the camera model
 noise                   standard deviations and covariances of the sensors
 drive                   recordings in memory
+belief                  what a filter believes and what it saw: Belief, Innovation, Step
 kalman                  the Gaussian algebra of a Kalman filter
 odometry                the pose: from the IMU alone, and on a known map
 mapping                 the map on known poses
@@ -45,7 +46,6 @@ plots                   room: still pictures
 audit                   room: a recording's sensors compared with each other
 studies                 room: filters over whole drives
 widgets                 room: explorer and panels
-exercises               room: checks of a student's functions
 
 A name is loaded when it is first used, so importing the package costs nothing and changes nothing.
 """
@@ -58,10 +58,10 @@ if TYPE_CHECKING:
         association,
         audit,
         batch,
+        belief,
         drive,
         ekf_slam,
         error_state,
-        exercises,
         kalman,
         lens,
         mapping,
@@ -89,8 +89,8 @@ if TYPE_CHECKING:
 
 __version__ = "0.2.0"
 __all__ = [
-    "Drive", "Noise", "RightInvariant", "RightPerturbation", "StereoCamera", "association", "audit", "batch",
-    "drive", "ekf_slam", "error_state", "exercises", "kalman", "lens", "load", "mapping", "metrics", "motion",
+    "Drive", "Noise", "RightInvariant", "RightPerturbation", "StereoCamera", "association", "audit", "batch", "belief",
+    "drive", "ekf_slam", "error_state", "kalman", "lens", "load", "mapping", "metrics", "motion",
     "noise", "odometry", "plots", "recordings", "robust", "se3", "simulate", "smoother", "stereo", "studies",
     "tracking", "widgets", "window_slam",
 ]

@@ -22,9 +22,12 @@ from typing import Any
 
 import numpy as np
 
-from . import se3, validation
+from . import se3
 from .stereo import StereoCamera
-from .validation import DriveError
+
+
+class DriveError(ValueError):
+    """A recording that cannot be used; the message names the field, where in it, and what is wrong."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,9 +72,9 @@ class Drive:
         object.__setattr__(self, "history", tuple(self.history))
         if not isinstance(self.camera, StereoCamera):
             raise DriveError(f"camera: {type(self.camera).__name__}, expected a StereoCamera")
-        validation.check_imu(self)
-        validation.check_observations(self)
-        validation.check_truth(self)
+        _check_imu(self)
+        _check_observations(self)
+        _check_truth(self)
 
     def _freeze(self, field: str, dtype: type) -> None:
         value = getattr(self, field)
@@ -238,3 +241,104 @@ def _mask(mask: np.ndarray, size: int, what: str) -> np.ndarray:
         raise ValueError(f"mask: {mask.dtype} of shape {mask.shape}, expected bool ({size},), "
                          f"one for each of the {what}")
     return mask
+
+
+# --- what a recording must be: each check relies on what an earlier one has found right ---------------------
+
+LARGEST = {"times": 1e12, "twists": 1e4, "pixels": 1e7, "K": 1e6, "baseline": 1e3, "cam_T_imu": 1e3,
+           "truth_world_T_cam": 1e9, "truth_landmarks": 1e9}  # far beyond any car, camera or clock: s, m/s, px, m
+
+
+def _check_shape(name: str, value: np.ndarray, shape: tuple[int, ...]) -> None:
+    if value.shape != shape:
+        raise DriveError(f"{name}: shape {value.shape}, expected {shape}")
+
+
+def _check_finite(name: str, value: np.ndarray) -> None:
+    bad = np.argwhere(~np.isfinite(value))
+    if bad.size:
+        raise DriveError(f"{name}: {value[tuple(bad[0])]} at index {tuple(bad[0].tolist())}, "
+                         f"expected finite numbers only")
+
+
+def _check_magnitude(name: str, value: np.ndarray | float) -> None:
+    """Absolute values that no car has, and whose products overflow."""
+    largest = np.nanmax(np.abs(value), initial=0.0)
+    if largest > LARGEST[name]:
+        raise DriveError(f"{name}: {largest:.3g}, expected absolute values up to {LARGEST[name]:g}")
+
+
+def _check_imu(drive: Drive) -> None:
+    """Times, IMU samples and calibration. Raises DriveError."""
+    times = drive.times
+    if times.ndim != 1:
+        raise DriveError(f"times: shape {times.shape}, expected (T,)")
+    if not times.size:
+        raise DriveError("times: the recording is empty, it has no frame")
+    _check_finite("times", times)
+    stuck = np.flatnonzero(np.diff(times) <= 0)
+    if stuck.size:
+        k = stuck[0]
+        raise DriveError(f"times: do not increase, frame {k} is at {times[k]} s "
+                         f"and frame {k + 1} at {times[k + 1]} s")
+    _check_shape("twists", drive.twists, (times.size, 6))
+    _check_finite("twists", drive.twists)
+    if drive.imu_sample not in ("k", "k+1", "mean"):
+        raise DriveError(f"imu_sample: {drive.imu_sample!r}, expected 'k', 'k+1' or 'mean'")
+    for name in ("times", "twists"):
+        _check_magnitude(name, getattr(drive, name))
+    for name in ("K", "baseline", "cam_T_imu"):
+        _check_magnitude(name, getattr(drive.camera, name))
+
+
+def _check_observations(drive: Drive) -> None:
+    """What is seen in which frame, and that no track has a gap. Raises DriveError."""
+    start, landmark = drive.frame_start, drive.landmark
+    _check_shape("frame_start", start, (drive.n_frames + 1,))
+    if landmark.ndim != 1:
+        raise DriveError(f"landmark: shape {landmark.shape}, expected (N,)")
+    _check_shape("pixels", drive.pixels, (landmark.size, 4))
+    _check_finite("pixels", drive.pixels)
+    _check_magnitude("pixels", drive.pixels)
+    if start[0] != 0 or start[-1] != landmark.size or (np.diff(start) < 0).any():
+        raise DriveError(f"frame_start: must rise from 0 to the {landmark.size} observations, never falling")
+    outside = np.flatnonzero((landmark < 0) | (landmark >= drive.n_landmarks))
+    if outside.size:
+        raise DriveError(f"landmark: {landmark[outside[0]]} at index {outside[0]}, "
+                         f"expected 0 to {drive.n_landmarks - 1}")
+    disorder = np.flatnonzero((np.diff(landmark) <= 0) & (np.diff(drive.frame) == 0))
+    if disorder.size:
+        raise DriveError(f"landmark: not ascending in frame {drive.frame[disorder[0]]}, index {disorder[0]}")
+    length = drive.last_seen - drive.first_seen + 1
+    torn = np.flatnonzero((drive.first_seen >= 0) & (np.bincount(landmark, minlength=length.size) != length))
+    if torn.size:
+        seen = drive.frame[landmark == torn[0]]
+        gap = np.flatnonzero(np.diff(seen) > 1)[0]
+        raise DriveError(f"features: landmark {torn[0]} is seen in frame {seen[gap]}, then not, and again in "
+                         f"frame {seen[gap + 1]}; a track that comes back must be a new landmark")
+
+
+def _check_truth(drive: Drive) -> None:
+    """True poses and landmarks, where there are any. Raises DriveError."""
+    poses, landmarks = drive.truth_world_T_cam, drive.truth_landmarks
+    if poses is not None:
+        _check_shape("truth_world_T_cam", poses, (drive.n_frames, 4, 4))
+        known = np.isfinite(poses).all(axis=(1, 2))
+        broken = np.flatnonzero(~known & ~np.isnan(poses).all(axis=(1, 2)))
+        if broken.size:
+            raise DriveError(f"truth_world_T_cam: frame {broken[0]} is neither a pose nor all NaN")
+        R = poses[known, :3, :3]
+        rigid = (np.abs(R @ R.mT - np.eye(3)).max(axis=(1, 2)) < 1e-6) & (np.linalg.det(R) > 0)
+        rigid &= (poses[known, 3] == [0, 0, 0, 1]).all(axis=1)
+        if not rigid.all():
+            bad = np.flatnonzero(known)[~rigid][0]
+            raise DriveError(f"truth_world_T_cam: frame {bad} is not a rigid motion")
+        _check_magnitude("truth_world_T_cam", poses)
+    if landmarks is not None:
+        if poses is None:
+            raise DriveError("truth_landmarks: given without truth_world_T_cam, so their world is unknown")
+        _check_shape("truth_landmarks", landmarks, (drive.n_landmarks, 3))
+        if np.isinf(landmarks).any():
+            bad = np.argwhere(np.isinf(landmarks))[0, 0]
+            raise DriveError(f"truth_landmarks: landmark {bad} is at infinity")
+        _check_magnitude("truth_landmarks", landmarks)

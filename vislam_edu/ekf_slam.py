@@ -15,8 +15,8 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from . import kalman, se3, stereo
+from .belief import Belief, Innovation, Step
 from .drive import Drive
-from .kalman import Belief, Innovation, Step
 from .noise import Noise
 from .stereo import StereoCamera
 

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from . import kalman
+from .belief import Innovation, Step
 from .drive import Drive
-from .kalman import Step
 from .noise import Noise
 from .stereo import StereoCamera
 
@@ -105,10 +105,10 @@ def run(drive: Drive, noise: Noise, world_T_imu: np.ndarray, initialise: Callabl
         residual = pixels - predicted
         nis = np.where(in_front, kalman.nis(residual, S), np.inf)
         accepted = in_front & (nis <= threshold)
-        innovation = kalman.Innovation(ids, pixels, predicted, S, nis, accepted)
+        innovation = Innovation(ids, pixels, predicted, S, nis, accepted)
         good = ids[accepted]
         delta, P[good] = kalman.update(P[good], H[accepted], V, residual[accepted])
         m[good] += delta
 
         posterior = MapBelief(m, P, seen)
-        yield kalman.Step(k, drive.times[k], prior, posterior, innovation, born, np.empty(0, int))
+        yield Step(k, drive.times[k], prior, posterior, innovation, born, np.empty(0, int))

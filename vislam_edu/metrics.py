@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from . import kalman, se3
-from .kalman import Step
+from .belief import Step
 
 if TYPE_CHECKING:
     from .error_state import ErrorState

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from . import se3
+from .belief import Belief
 from .drive import Drive
 from .error_state import ErrorState
-from .kalman import Belief
 from .noise import Noise
 
 

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from . import kalman, se3
+from .belief import Innovation, Step
 from .drive import Drive
-from .kalman import Innovation, Step
 from .noise import Noise
 from .stereo import StereoCamera
 
@@ -94,7 +94,7 @@ def observe(prior: PoseBelief, camera: StereoCamera, noise: Noise, ids: np.ndarr
     S = kalman.innovation_covariance(prior.covariance, H, noise.pixel_covariance)
     nis = np.where(in_front, kalman.nis(pixels - predicted, S), np.inf)
     accepted = in_front & (nis <= threshold)
-    innovation = kalman.Innovation(ids, pixels, predicted, S, nis, accepted)
+    innovation = Innovation(ids, pixels, predicted, S, nis, accepted)
     if not accepted.any():
         return prior, innovation
     # The accepted measurements as one long vector: S = H P H^T + I (x) V, the report's Kronecker product.
@@ -126,4 +126,4 @@ def localize(drive: Drive, noise: Noise, landmarks: np.ndarray, gate: float = 0.
             prior = predict(posterior, drive.step_twists[k - 1], drive.taus[k - 1], noise)
         ids, pixels = drive.observed(k)
         posterior, innovation = observe(prior, drive.camera, noise, ids, pixels, landmarks[ids], threshold)
-        yield kalman.Step(k, drive.times[k], prior, posterior, innovation, nobody, nobody)
+        yield Step(k, drive.times[k], prior, posterior, innovation, nobody, nobody)

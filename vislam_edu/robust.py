@@ -21,10 +21,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from . import blockwise, kalman, motion, stereo, window_slam
+from . import blockwise, motion, stereo, window_slam
+from .belief import NO_INNOVATION, Belief, Innovation
 from .drive import Drive
 from .error_state import ErrorState
-from .kalman import Belief, Innovation
 from .noise import Noise
 from .window_slam import Frame, UpdateSettings
 
@@ -52,7 +52,7 @@ def update(prior: Belief, ids: np.ndarray, pixels: np.ndarray, settings: UpdateS
     ids : (m,). pixels : (m, 4). Returns (posterior, Innovation).
     """
     if len(ids) == 0:
-        return prior, kalman.NO_INNOVATION
+        return prior, NO_INNOVATION
     innovation, H = window_slam.compute_innovation(prior, ids, pixels, settings)
     passed = innovation.accepted
     if not passed.any():

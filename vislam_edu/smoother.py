@@ -34,9 +34,9 @@ from scipy.linalg import cholesky, solve_triangular
 from threadpoolctl import threadpool_limits
 
 from . import blockwise, motion, se3, stereo, window_slam
+from .belief import Belief, Step
 from .drive import Drive
 from .error_state import ErrorState, RightPerturbation
-from .kalman import Belief, Step
 from .mapping import MapBelief
 from .motion import Transition
 from .noise import Noise

@@ -24,7 +24,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
-from . import se3, validation
+from . import se3
 from .se3 import checked
 
 PLACEHOLDER = np.array([0.0, 0.0, 1.0])
@@ -123,6 +123,36 @@ def second_order(predicted: np.ndarray, explained: np.ndarray) -> np.ndarray:
     return with_disparity[..., FOUR_FROM_THREE] / disparity[..., None]
 
 
+def check_calibration(K: np.ndarray) -> None:
+    """K of a camera. Raises ValueError."""
+    if K.shape != (3, 3):
+        raise ValueError(f"K must have shape (3, 3), got {K.shape}")
+    fu, fv = K[0, 0], K[1, 1]
+    pattern = np.array([[fu, 0.0, K[0, 2]], [0.0, fv, K[1, 2]], [0.0, 0.0, 1.0]])
+    if not (np.isfinite(K).all() and fu > 0.0 and fv > 0.0 and np.array_equal(K, pattern)):
+        raise ValueError(
+            "K must be [[f_u, 0, c_u], [0, f_v, c_v], [0, 0, 1]] with positive focal lengths, "
+            f"got {K.tolist()}"
+        )
+
+
+def check_extrinsics(T: np.ndarray) -> None:
+    """cam_T_imu, a rigid motion. Raises ValueError."""
+    if T.shape != (4, 4):
+        raise ValueError(f"cam_T_imu must have shape (4, 4), got {T.shape}")
+    if not np.isfinite(T).all():
+        raise ValueError(f"cam_T_imu must be finite, got {T.tolist()}")
+    if not np.array_equal(T[3], [0.0, 0.0, 0.0, 1.0]):
+        raise ValueError(f"cam_T_imu must end with the row [0, 0, 0, 1], got {T[3].tolist()}: is it transposed?")
+    R = T[:3, :3]
+    with np.errstate(over="ignore", invalid="ignore"):
+        off = np.abs(R.T @ R - np.eye(3)).max()
+    if not off <= 1e-5:
+        raise ValueError(f"cam_T_imu must hold a rotation; it is off orthonormal by {off:.1e} (1e-5 allowed)")
+    if np.linalg.det(R) < 0.0:
+        raise ValueError("cam_T_imu must hold a rotation, but mirrors (determinant -1): one axis is flipped")
+
+
 @dataclass(frozen=True, eq=False)
 class StereoCamera:
     """A rectified stereo pair and where it sits on the body.
@@ -141,10 +171,10 @@ class StereoCamera:
     def __post_init__(self) -> None:
         K, cam_T_imu = _read_only(self.K, "K"), _read_only(self.cam_T_imu, "cam_T_imu")
         baseline = _read_only(self.baseline, "baseline")
-        validation.check_calibration(K)
+        check_calibration(K)
         if not (baseline.size == 1 and np.isfinite(baseline).all() and (baseline > 0.0).all()):
             raise ValueError(f"baseline must be one positive length in metres, got {self.baseline}")
-        validation.check_extrinsics(cam_T_imu)
+        check_extrinsics(cam_T_imu)
         for field, value in (("K", K), ("baseline", baseline.item()), ("cam_T_imu", cam_T_imu)):
             object.__setattr__(self, field, value)
 

@@ -21,9 +21,9 @@ import numpy as np
 from threadpoolctl import ThreadpoolController
 
 from . import blockwise, kalman, motion, stereo
+from .belief import NO_INNOVATION, Belief, Innovation, Step
 from .drive import Drive
 from .error_state import ErrorState, RightPerturbation
-from .kalman import Belief, Innovation, Step
 from .noise import Noise
 from .stereo import StereoCamera
 
@@ -114,7 +114,7 @@ def apply_update(prior: Belief, H: Linearised, residual: np.ndarray, settings: U
 def update(prior: Belief, ids: np.ndarray, pixels: np.ndarray, settings: UpdateSettings) -> tuple[Belief, Innovation]:
     """EKF update with those landmarks `ids` (m,), all in the window, that the gate lets pass. pixels : (m, 4)."""
     if len(ids) == 0:
-        return prior, kalman.NO_INNOVATION
+        return prior, NO_INNOVATION
     innovation, H = compute_innovation(prior, ids, pixels, settings)
     good = innovation.accepted
     return apply_update(prior, H.only(good), innovation.residual[good], settings), innovation

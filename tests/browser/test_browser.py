@@ -18,7 +18,7 @@ import pytest
 from browser import NO_CHROMIUM, POLLING, SCREENSHOTS, SECOND, STATE, expect, jupyter, listen, wait_until
 from whole import WHOLE
 
-from vislam_edu.cli.notebooks import WIDGET_VIEW
+from notebooks import WIDGET_VIEW
 
 ROOT = Path(__file__).resolve().parents[2]
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))

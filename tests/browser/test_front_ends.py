@@ -17,7 +17,7 @@ IMPORTS = """\
 from vislam_edu import simulate
 from vislam_edu.noise import Noise
 from vislam_edu.widgets import Panel, WhatIf
-from vislam_edu.widgets.stereo_depth import StereoDepthPicture
+from vislam_edu.course.ch02.panel import StereoDepthPicture
 """
 CELLS = [IMPORTS, "WhatIf(simulate.first_steps().slice(0, 12), Noise(), start=10)", "Panel(StereoDepthPicture())"]
 

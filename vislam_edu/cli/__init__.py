@@ -11,22 +11,20 @@ import signal
 import sys
 import traceback
 from importlib import import_module
+from importlib.metadata import entry_points
 from pathlib import Path
 from typing import NoReturn
 
 BAD_INPUT, INTERRUPTED = 2, 130
 
 COMMANDS = {  # each a module of this package: what it does
-    "start": "copy the notebooks into a folder and open them",
     "run": "the report's pipeline over a recording: figures, trajectories, numbers",
     "info": "what is in a recording",
     "audit": "compare a recording's sensors with each other, before it is filtered",
     "simulate": "make a recording with ground truth: a street loop",
     "consistency": "the filters over many simulated drives: are their covariances honest?",
-    "exercises": "grade submitted notebooks, list the mistakes that checks know",
-    "clinic": "an examination with unlabelled faults: hand out case files, grade the answers",
-    "notebooks": "run the notebooks and store their outputs",
 }
+PLUGINS = "vislam_edu.commands"  # entry points of packages whose COMMANDS, a module each, are offered too
 
 
 class Parser(argparse.ArgumentParser):
@@ -41,27 +39,37 @@ def parser(argv) -> Parser:
     top = Parser(prog="python -m vislam_edu", description="Visual-inertial SLAM with an extended Kalman filter.",
                  epilog="Exit status: 0 done, 2 bad input (one line on stderr says what), 130 interrupted.")
     commands = top.add_subparsers(dest="command", required=True, metavar="COMMAND", parser_class=Parser)
-    for name, text in COMMANDS.items():
+    for name, (package, text) in available().items():
         command = commands.add_parser(name, help=text, description=text[0].upper() + text[1:] + ".")
         if argv[:1] == [name]:
-            import_module(f".{name}", __package__).add_arguments(command)
+            import_module(f".{name}", package).add_arguments(command)
+            command.set_defaults(package=package)
     return top
+
+
+def available() -> dict[str, tuple[str, str]]:
+    """Each command: the package whose module of that name it is, and what it does. The course adds its own."""
+    packages = [__package__, *(point.value for point in entry_points(group=PLUGINS))]
+    return {name: (package, text) for package in packages for name, text in import_module(package).COMMANDS.items()}
 
 
 def dispatch(argv) -> int:
     """Parse and do; returns the exit status, errors come out as exceptions."""
     arguments = parser(argv).parse_args(argv)
-    return import_module(f".{arguments.command}", __package__).run(arguments)
+    return import_module(f".{arguments.command}", arguments.package).run(arguments)
 
 
-def main(argv=None) -> int:
-    """The command line. Returns the exit status; bad input is one line on stderr, never a traceback."""
+def main(argv=None, do=None) -> int:
+    """The command line. Returns the exit status; bad input is one line on stderr, never a traceback.
+
+    do : function of the list of arguments that does what they ask for and returns the exit status.
+    """
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")  # a terminal without the letters of a name shows question marks
     try:
         with _terminable():
-            return dispatch(sys.argv[1:] if argv is None else list(argv))
+            return (do or dispatch)(sys.argv[1:] if argv is None else list(argv))
     except KeyboardInterrupt as error:
         return _stopped(f"interrupted; {str(error) or 'nothing was written'}", INTERRUPTED)
     except OSError as error:

@@ -256,3 +256,10 @@ def heading_band(drive, trajectory, method="dead_reckoning"):
 def heading_error(true_world_T_imu, world_T_imu):
     """(...) rad in (-pi, pi], estimated minus true heading; NaN where there is no truth."""
     return heading(world_T_imu @ se3.inverse(true_world_T_imu))
+
+
+def new_image():
+    """Figure and axes that are the left camera's image, px; v points down."""
+    figure, axes = new_figure(height=1.75)
+    axes.set(xlim=(0, 1241), ylim=(376, 0), aspect="equal", xlabel="u (px)", ylabel="v (px)")
+    return figure, axes

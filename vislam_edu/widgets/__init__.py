@@ -6,6 +6,5 @@ Here lives everything that reacts. A widget works without a browser too, so that
 from .explorer import BOTH, Explorer
 from .history import PathBelief
 from .panel import UNSEEN, Panel
-from .what_if import WhatIf
 
-__all__ = ["BOTH", "UNSEEN", "Explorer", "Panel", "PathBelief", "WhatIf"]
+__all__ = ["BOTH", "UNSEEN", "Explorer", "Panel", "PathBelief"]

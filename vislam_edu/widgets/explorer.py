@@ -53,7 +53,7 @@ class Explorer(anywidget.AnyWidget):
 
     Parameters
     ----------
-    steps : iterable of `kalman.Step`, from `window_slam.run`, `mapping.run`, `odometry.localize` or any other
+    steps : iterable of `Step`, from `window_slam.run`, `mapping.run`, `odometry.localize` or any other
         generator of Steps whose beliefs are a joint `Belief`, a `MapBelief` or a `PoseBelief` (such as a filter of
         your own); or a dict {name: steps} of two runs over the same drive, which are shown side by side.
     drive : Drive that the steps were run on; its truth is drawn where it has one.

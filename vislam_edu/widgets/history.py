@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from .. import kalman, metrics, se3
+from ..belief import Step
 from ..drive import Drive
 from ..error_state import ErrorState, RightInvariant, RightPerturbation
 from ..studies.pipeline import right_pose_covariance, world_landmark_covariance
@@ -128,11 +129,11 @@ class History:
         raise KeyError(f"{name!r} is not among {[one.name for one in self.series]}")
 
 
-def from_steps(name: str, steps: Iterable[kalman.Step], drive: Drive, error_state: ErrorState | None = None, *,
+def from_steps(name: str, steps: Iterable[Step], drive: Drive, error_state: ErrorState | None = None, *,
                colour: str = "slam", world_T_imu: np.ndarray | None = None) -> History:
     """The history of a filter: two snapshots a step, its prior and its posterior.
 
-    steps : `kalman.Step`s whose beliefs are a joint `Belief`, a `MapBelief` or a `PoseBelief`.
+    steps : `Step`s whose beliefs are a joint `Belief`, a `MapBelief` or a `PoseBelief`.
     drive : the Drive they were run on; its true landmarks are the known map of a filter that estimates a pose only.
     error_state : that of a joint filter, by default `RightPerturbation()`. colour : key of `style.COLOURS`.
     world_T_imu : (T, 4, 4), the poses that were given to a filter which estimates a map only.
@@ -266,7 +267,7 @@ class Frame:
         return self.H[rows].reshape(m, -1), self.S[rows][:, :, rows].reshape(m, m), self.residual[rows].ravel()
 
 
-def frame_nis(step: kalman.Step, drive: Drive, error_state: ErrorState, pose=None) -> tuple[float, int]:
+def frame_nis(step: Step, drive: Drive, error_state: ErrorState, pose=None) -> tuple[float, int]:
     """NIS of a step's whole frame, and how many numbers it sums: four a landmark in front of the camera.
 
     error_state : of a joint filter. pose : (4, 4), where it was given to the filter. Returns (NaN, 0) for no landmark.
@@ -278,7 +279,7 @@ def frame_nis(step: kalman.Step, drive: Drive, error_state: ErrorState, pose=Non
     return float(kalman.nis(residual, S)), len(residual)
 
 
-def pulls(step: kalman.Step, drive: Drive, error_state: ErrorState) -> np.ndarray:
+def pulls(step: Step, drive: Drive, error_state: ErrorState) -> np.ndarray:
     """(n, 6): what each measurement adds to the correction of the pose, K_j r_j, as a right perturbation, m and rad.
 
     Zero where the gate kept it out. To first order their sum is the correction of the frame.

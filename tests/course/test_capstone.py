@@ -1,0 +1,221 @@
+"""The capstone: a filter of the package's pieces scores like it, and each mistake is found where it was put."""
+
+import csv
+import json
+import time
+
+import numpy as np
+import pytest
+from whole import few
+
+from vislam_edu import ekf_slam, se3, simulate
+from vislam_edu.belief import Belief
+from vislam_edu.course.ch13 import capstone
+from vislam_edu.course.ch13 import exercises as chapter13
+from vislam_edu.course.checks.verdict import NOT_WRITTEN, RIGHT, WRONG, judge
+from vislam_edu.course.exercises import EXERCISES
+from vislam_edu.course.grading import grading, report
+from vislam_edu.noise import Noise
+from vislam_edu.widgets import Explorer
+
+# --- a capstone filled from ekf_slam ------------------------------------------------------------------------
+
+def predict(T, P, twist, tau, noise):
+    n = (len(P) - 6) // 3
+    after = ekf_slam.predict(Belief(T, np.zeros((n, 3)), np.arange(n), P), twist, tau, noise)
+    return after.world_T_imu, after.covariance
+
+
+def update(T, landmarks, P, rows, pixels, camera, noise):
+    seen = landmarks[rows]
+    H = ekf_slam.joint_jacobian(camera.landmark_jacobian(T, seen), camera.pose_jacobian(T, seen), rows, len(landmarks))
+    residual = (pixels - camera.observe(T, seen)[0]).ravel()
+    return ekf_slam.joint_update(T, landmarks, P, H, residual, noise.sigma_px**2 * np.eye(len(residual)))
+
+
+def birth(T, landmarks, P, pixels, camera, noise):
+    point = camera.triangulate(pixels)[0]
+    R = camera.imu_T_cam[:3, :3]
+    C = R @ camera.triangulation_covariance(point, noise.sigma_px) @ R.T
+    landmark, P = ekf_slam.new_landmark(P, T, se3.transform(camera.imu_T_cam, point), C)
+    return np.vstack([landmarks, landmark]), P
+
+
+PIECES = {"filter_predict": predict, "filter_update": update, "filter_birth": birth}
+
+
+def filled(**changed):
+    """The pieces by stage, some of them replaced; frame and run are made of them."""
+    pieces = PIECES | changed
+    frame = pieces.get("filter_frame") or chapter13.frame_of(pieces["filter_update"], pieces["filter_birth"])
+    run = pieces.get("filter_run") or chapter13.run_of(pieces["filter_predict"], frame)
+    return pieces | {"filter_frame": frame, "filter_run": run}
+
+
+def test_a_capstone_filled_from_ekf_slam_is_right_in_every_stage_and_scores_like_the_package(capsys):
+    pieces = filled()
+    assert capstone.localise(pieces) is None
+    score = capstone.score(pieces["filter_run"], student=7)
+    assert score.status == RIGHT
+    assert capsys.readouterr().out.count("like the agreed filter") == len(score.drives) == 4
+    for one in score.drives:
+        assert one.mine.ate == pytest.approx(one.agreed.ate, rel=1e-6)
+        assert one.mine.nees == pytest.approx(one.agreed.nees, rel=1e-5)
+        assert one.mine.sigma == pytest.approx(one.agreed.sigma, rel=1e-6)
+
+
+def test_the_packages_own_filter_scores_like_the_package():
+    one = capstone.judged(capstone.package_run, capstone.unseen(7))
+    assert (one.mine.ate, one.mine.nees) == (one.package.ate, one.package.nees)
+    assert not one.faults
+    assert one.package.ate < 0.7 * one.dead_reckoning.ate
+
+
+MISTAKES = [(name, mistake.name) for name in capstone.STAGES for mistake in few(2, EXERCISES[name].mistakes)]
+
+
+@pytest.mark.parametrize(("stage", "mistake"), MISTAKES)
+def test_a_mistake_is_localised_to_the_stage_it_was_put_into(stage, mistake):
+    [wrong] = [m.function for m in EXERCISES[stage].mistakes if m.name == mistake]
+    verdict = capstone.localise(filled(**{stage: wrong}))
+    assert (verdict.exercise, verdict.status, verdict.mistake) == (stage, WRONG, mistake)
+
+
+@pytest.mark.parametrize(("stage", "mistake"), [("filter_update", "pose sign flipped"), ("filter_predict", "degrees"),
+                                                ("filter_predict", "not scaled by tau")])
+def test_a_wrong_filter_scores_worse(stage, mistake):
+    [wrong] = [m.function for m in EXERCISES[stage].mistakes if m.name == mistake]
+    assert capstone.judged(filled(**{stage: wrong})["filter_run"], capstone.unseen(1)).faults
+
+
+def test_a_covariance_that_is_reported_too_large_is_seen_though_its_nees_is_good():
+    def inflated(drive, noise):
+        for T, landmarks, ids, P in filled()["filter_run"](drive, noise):
+            yield T, landmarks, ids, 4 * P
+
+    one = capstone.judged(inflated, capstone.unseen(1234))
+    low, high = capstone.nees_band()
+    assert low < one.mine.nees < high < one.agreed.nees
+    assert one.mine.sigma == pytest.approx(2 * one.agreed.sigma)
+    assert one.faults == ["sigma too large"]
+
+
+# --- where two results part ---------------------------------------------------------------------------------
+
+def test_the_first_frame_and_entry_that_part_are_those_that_were_changed():
+    def run(drive, noise):
+        for k, (T, m, ids, P) in enumerate(filled()["filter_run"](drive, noise)):
+            P = P.copy()
+            if k >= 5:
+                P[-2, -1] *= 1.5
+            yield T, m, ids, P
+
+    found = capstone.first_parting("filter_run", run)
+    assert found.where.endswith("pose covariances of frame 5")
+    assert found.entry == (4, 5)
+    assert found.mine[4, 5] == pytest.approx(1.5 * found.package[4, 5])
+
+
+def test_the_picture_frames_the_entry_in_both_matrices_and_their_difference(capsys):
+    [wrong] = [m.function for m in EXERCISES["filter_predict"].mistakes if m.name == "cross-covariances not propagated"]
+    figure = capstone.compare("filter_predict", wrong)
+    assert "entry [0, 3]" in capsys.readouterr().out
+    frames = [patch.get_xy() for patch in figure.axes[0].patches]
+    assert frames == [(2.5, -0.5), (2.5 + 10, -0.5), (2.5 + 20, -0.5)]  # matrices of 9 columns, one column apart
+    apart = np.asarray(figure.axes[0].images[0].get_array())[:, 20:]  # of this mistake in the cross terms alone
+    assert np.abs(apart).max() == 1
+    assert not apart[:3, :3].any()
+    assert not apart[3:, 3:].any()
+    assert apart[:3, 3:].all()
+    assert capstone.compare("filter_predict", predict) is None
+
+
+def test_a_stage_that_raises_or_returns_too_little_gets_a_sentence(capsys):
+    def unpacked(T, landmarks, P, rows, pixels, camera, noise):
+        return np.zeros(4) + camera.observe(T, landmarks[rows])
+
+    def only_the_pose(T, landmarks, P, rows, pixels, camera, noise):
+        return T
+
+    assert capstone.compare("filter_update", unpacked) is None
+    assert "ValueError" in capsys.readouterr().out
+    assert capstone.compare("filter_update", only_the_pose) is None
+    assert "landmarks" in capsys.readouterr().out
+
+
+def test_a_filter_that_returns_its_last_state_is_told_to_yield_each():
+    def last(drive, noise):
+        return list(filled()["filter_run"](drive, noise))[-1]
+
+    assert "it must yield the four parts of a state after each frame" in judge(EXERCISES["filter_run"], last).text
+
+
+# --- what is not right must not hang, nor fill memory ---------------------------------------------------------
+
+def test_stubs_are_not_written_yet(capsys):
+    def stub(drive, noise):
+        raise NotImplementedError
+
+    def generator(drive, noise):
+        raise NotImplementedError
+        yield
+
+    for function in (stub, generator):
+        assert capstone.score(function).status == NOT_WRITTEN
+        assert capstone.compare("filter_run", function) is None
+    assert capsys.readouterr().out.splitlines() == 4 * ["filter_run: not written yet"]
+
+
+def test_a_filter_that_never_ends_or_grows_is_stopped():
+    drive = capstone.unseen(0)
+
+    def endless(drive, noise):
+        while True:
+            pass
+
+    def growing(drive, noise):
+        for n in range(1, 1000):
+            yield np.eye(4), np.zeros((50 * n, 3)), np.arange(50 * n), np.eye(150 * n + 6)
+
+    def short(drive, noise):
+        yield np.eye(4), np.empty((0, 3)), np.empty(0, int), np.eye(6)
+
+    start = time.monotonic()
+    assert "no end" in capstone.follow(endless, drive, limit=0.3).problem
+    assert "landmarks" in capstone.follow(growing, drive).problem
+    assert capstone.follow(short, drive).problem == "1 states for 100 frames"
+    assert time.monotonic() - start < 10
+
+
+def test_a_student_has_drives_that_no_other_has():
+    assert len({capstone.seed_of(student, i) for student in range(200) for i in range(2)}) == 400
+    assert capstone.unseen(3).pixels.tobytes() == capstone.unseen("3").pixels.tobytes()
+
+
+def test_the_explorer_steps_a_students_filter():
+    drive = simulate.first_steps().slice(0, 8)
+    explorer = Explorer(capstone.steps(filled()["filter_run"], drive), drive)
+    assert explorer.n == 16
+
+
+# --- for teachers ---------------------------------------------------------------------------------------------
+
+def test_scores_go_to_the_teachers_report(tmp_path, monkeypatch, capsys):
+    from vislam_edu.course.checks.check import VERDICTS
+
+    record = tmp_path / "verdicts.jsonl"
+    monkeypatch.setenv(VERDICTS, str(record))
+    monkeypatch.setattr(capstone, "drives", lambda student: [capstone.unseen(student).slice(0, 30)])
+    capstone.score(filled()["filter_run"], student=5)
+    results = grading._verdicts(record)
+    submission = grading.Submission("a.ipynb", list(results.values()))
+    report.write([submission], tmp_path)
+    [row] = list(csv.DictReader((tmp_path / "capstone.csv").open()))
+    assert (row["notebook"], row["student"], row["drive"]) == ("a.ipynb", "5", "unseen 1")
+    content = json.loads((tmp_path / "exercises.json").read_text())
+    assert content[0]["exercises"][0]["score"]["drives"][0]["mine_ate"] == pytest.approx(float(row["mine_ate"]))
+
+
+def test_the_noise_of_the_capstone_is_that_of_its_drives():
+    assert vars(capstone.NOISE).keys() == vars(Noise()).keys()
+    assert (capstone.NOISE.sigma_v, capstone.NOISE.sigma_omega, capstone.NOISE.sigma_px) == (0.5, 0.05, 0.7)

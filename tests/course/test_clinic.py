@@ -1,0 +1,182 @@
+"""The clinic: healthy patients raise no alarm, every fault is seen by its tests, and answers are scored as promised."""
+
+import csv
+import json
+from dataclasses import replace
+from itertools import islice
+
+import numpy as np
+import pytest
+from whole import few
+
+from vislam_edu import cli
+from vislam_edu.course.clinic import clinic, clinic_tests, patients
+from vislam_edu.course.clinic.clinic_tests import TESTS, bands, read
+from vislam_edu.course.clinic.patients import FAULTS, HEALTHY, Build
+from vislam_edu.stereo import StereoCamera
+from vislam_edu.widgets import Explorer
+
+# --- healthy and sick ---------------------------------------------------------------------------------------------
+
+@pytest.mark.parametrize("build", ["nothing", "births first"])
+def test_healthy_patients_raise_no_alarm(build):
+    healthy = replace(Build(), **FAULTS[build].changes(1.0))
+    for seed in few(2, range(10_000, 10_006)):
+        for name in TESTS:
+            readings = read(name, healthy, seed)
+            assert all(bands()[name][key].holds(value) for key, value in readings.items()), (seed, name, readings)
+
+
+@pytest.mark.parametrize("name", [name for name, fault in FAULTS.items() if fault.piece != HEALTHY])
+def test_every_fault_is_separated_by_the_tests_that_its_case_lists(name):
+    fault = FAULTS[name]
+    assert fault.seen_by
+    for severity in fault.severities:
+        build = replace(Build(), **fault.changes(severity))
+        for test in fault.seen_by:
+            assert clinic.evident(test, lambda which, i, build=build: read(which, build, 30_000 + i)), severity
+
+
+def test_the_stored_bands_are_those_of_healthy_runs():
+    measured = clinic_tests.measure_bands(range(3), ("numbers", "H", "predict", "birth"))
+    for name, readings in measured.items():
+        stored = bands()[name]
+        assert readings.keys() == stored.keys()
+        for key, band in readings.items():
+            spread = max(stored[key].sigma, clinic_tests.FLOOR / clinic_tests.WIDTH)
+            assert abs(band.mean - stored[key].mean) < 4 * spread / 3**0.5, (name, key)
+            assert stored[key].runs == clinic_tests.HEALTHY_SEEDS
+
+
+def test_cross_terms_never_written_look_well_in_nis_and_lose_a_heading_that_nobody_measured():
+    build = replace(Build(), **FAULTS["never"].changes(1.0))
+    readings = read("standing still", build, 3)
+    assert 3.3 < readings["NIS"] < 4.8
+    assert readings["heading sigma, times that at the start"] < 0.7
+    assert read("standing still", Build(), 3)["heading sigma, times that at the start"] > 0.9
+
+
+# --- patients -----------------------------------------------------------------------------------------------------
+
+def test_a_patient_is_drawn_by_a_keyed_hash_and_shows_no_fault():
+    drawn = [patients.draw(5, number, 3, "secret") for number in range(1, 30)]
+    again = [patients.draw(5, number, 3, "secret") for number in range(1, 30)]
+    other = [patients.draw(5, number, 3, "another") for number in range(1, 30)]
+    assert [one.faults for one in drawn] == [one.faults for one in again] != [one.faults for one in other]
+    assert any(len(one.faults) == 2 for one in drawn)
+    patient = clinic.Patient(5, 1, 3, "secret")
+    shown = " ".join([repr(patient), str({key: value for key, value in vars(patient).items() if not callable(value)})])
+    assert not any(f"'{name}'" in shown for name in FAULTS if name not in (*patients.PIECES, *TESTS))
+
+
+def test_the_explorer_steps_a_patient_for_a_price_and_its_recording_does_not_say_what_was_planted():
+    for number in range(1, 9):
+        patient = clinic.Patient(7, number, 3)
+        budget = patient.budget
+        assert len(Explorer(islice(patient.steps(), 3), patient.recording).histories[0].snapshots) == 6
+        assert patient.budget == budget - 1
+        assert patient.recording.history == ()
+        assert type(patient.recording.camera) is StereoCamera
+    watched = clinic.Patient(1, 2, 1)  # cross terms never written: after a few frames only blocks are left
+    covariance = list(islice(watched.steps(), 4))[-1].posterior.covariance
+    n = len(covariance) // 3
+    blocks = covariance.reshape(n, 3, n, 3).swapaxes(1, 2)
+    assert not np.any(blocks[:-2, :-2][~np.eye(n - 2, dtype=bool)])
+    assert not np.any(blocks[:-2, -2:])
+
+
+def test_the_first_three_patients_are_those_that_the_chapter_teaches():
+    assert [patients.draw(1, number, 1).faults for number in (1, 2, 3)] == [(name,) for name in patients.FIRST]
+
+
+def test_budget_hints_and_answers():
+    patient = clinic.Patient(1, 1, 2)
+    patient.order("H", "predict", "birth", "numbers")
+    patient.order("H")  # a second time is free
+    assert patient.budget == 2
+    assert "order" in patient.hint()
+    with pytest.raises(clinic.BudgetError, match="costs 1, and 0 is left"):
+        patient.order("standing still")
+    with pytest.raises(ValueError, match="no test"):
+        patient.order("nothing of the kind")
+    with pytest.raises(ValueError, match="pieces are"):
+        patient.answer("the weather", "sign")
+    patient.answer("pose Jacobian", "sign", "H")
+    with pytest.raises(ValueError, match="has been answered"):
+        patient.answer("pose Jacobian", "sign", "H")
+
+
+def test_turning_sigma_up_is_no_cure():
+    patient = clinic.Patient(1, 2, 1)  # cross terms never written
+    patient.order("standing still")
+    louder = {"noise": lambda noise: replace(noise, sigma_px=5 * noise.sigma_px)}
+    score = patient.answer("covariance after the update", "missing", "standing still", louder)
+    assert (score.piece, score.kind, score.evidence) == (2, 1, 3)
+    assert score.cure <= 1
+
+
+def test_the_right_answer_scores_ten():
+    patient = clinic.Patient(1, 2, 1)
+    patient.order("numbers", "standing still")
+    assert patient.answer("covariance after the update", "missing", "standing still").total == 10
+
+
+# --- examinations -------------------------------------------------------------------------------------------------
+
+def test_an_examination_from_hand_out_to_grade(tmp_path, capsys):
+    key, out = tmp_path / "key.txt", tmp_path / "cases"
+    assert cli.main(["clinic", "hand-out", "--key", str(key), "--students", "ann", "bob", "--patients", "1",
+                     "--level", "1", "--out", str(out)]) == 0
+    ann = json.loads((out / "case_ann.json").read_text())
+    bob = json.loads((out / "case_bob.json").read_text())
+    assert ann["cases"][0]["tests"] != bob["cases"][0]["tests"]  # the noise is keyed too
+    secret = key.read_text().strip()
+    assert secret not in json.dumps(ann)
+    [name] = patients.draw("ann", 1, 1, secret).faults
+    assert FAULTS[name].piece in ann["cases"][0]["suspects"]
+    ann["cases"][0] |= {"ordered": [FAULTS[name].seen_by[0]], "piece": [FAULTS[name].piece],
+                        "kind": [FAULTS[name].kind], "evidence": [FAULTS[name].seen_by[0]]}
+    (out / "case_ann.json").write_text(json.dumps(ann))
+    (out / "case_zoe.json").write_text("[]")
+    capsys.readouterr()
+    assert cli.main(["clinic", "hand-out", "--key", str(key), "--students", "ann", "--out", str(out)]) == 0
+    assert "left as it is" in capsys.readouterr().out
+    assert json.loads((out / "case_ann.json").read_text()) == ann  # answers are not lost to a second hand-out
+    assert cli.main(["clinic", "grade", "--key", str(key), "--answers", str(out), "--out", str(tmp_path)]) == 0
+    rows = list(csv.DictReader((tmp_path / "clinic.csv").open()))
+    assert [row["file"] for row in rows] == ["case_ann.json", "case_bob.json", "case_zoe.json"]
+    assert float(rows[0]["total"]) >= 7
+    assert rows[1]["problem"] == "not answered"
+    assert "not a case file" in rows[2]["problem"]
+    assert json.loads((tmp_path / "clinic.json").read_text())[0]["truth"] == [[FAULTS[name].piece, FAULTS[name].kind]]
+
+
+@pytest.mark.parametrize("content", [
+    b"", b"\xff\xfe", b"[" * 100_000, b"{}", b"7", b'{"student": [1], "level": 2, "cases": [{"number": 1}]}',
+    b'{"student": "a", "level": 9, "cases": [{"number": 1, "ordered": ["\x1b[31m"], "piece": [], "kind": []}]}',
+    b'{"student": "a", "level": 1, "cases": [{"number": 1, "ordered": ["\\u001b[31m"], "piece": [], "kind": []}]}',
+    b'{"student": "a", "level": 1, "cases": [{"number": NaN, "ordered": 3, "piece": [], "kind": []}, 5]}',
+    b'{"student": "a", "level": [], "cases": {"number": -1}}', None])
+def test_any_bytes_handed_in_are_one_row_or_more_and_cost_the_others_nothing(content, tmp_path, capsys):
+    (tmp_path / "k").write_text("secret\n")
+    answers = tmp_path / "answers"
+    answers.mkdir()
+    blank = {"number": 1, "ordered": [], "piece": [], "kind": [], "evidence": []}
+    (answers / "b.json").write_text(json.dumps({"student": "b", "level": 1, "cases": [blank]}))
+    (answers / "a.json").mkdir() if content is None else (answers / "a.json").write_bytes(content)
+    assert cli.main(["clinic", "grade", "--key", str(tmp_path / "k"), "--answers", str(answers),
+                     "--out", str(tmp_path)]) == 0
+    rows = list(csv.DictReader((tmp_path / "clinic.csv").open()))
+    assert rows[-1]["problem"] == "not answered"
+    assert {row["file"] for row in rows} == {"a.json", "b.json"}
+    assert all(row["problem"] for row in rows)
+    assert "\x1b" not in capsys.readouterr().out
+
+
+def test_an_examination_needs_students_and_a_key(tmp_path, capsys):
+    assert cli.main(["clinic", "hand-out", "--key", str(tmp_path / "k")]) == 2
+    (tmp_path / "k").write_text("\n")
+    assert cli.main(["clinic", "hand-out", "--key", str(tmp_path / "k"), "--students", "a"]) == 2
+    assert cli.main(["clinic", "hand-out", "--key", str(tmp_path / "k"), "--students", "../a"]) == 2
+    assert cli.main(["clinic", "grade", "--key", str(tmp_path / "k"), "--answers", str(tmp_path)]) == 2
+    assert "the key is empty" in capsys.readouterr().err

@@ -1,0 +1,353 @@
+"""Exercises of notebook 03: the projection, its derivative, and the Kalman update of landmarks."""
+
+import numpy as np
+from scipy.linalg import block_diag
+
+from ... import kalman, mapping, se3, stereo
+from ...stereo import StereoCamera
+from ..checks.exercise import exercise
+from ..checks.inputs import CAMERA, random_camera, random_covariance, random_landmarks, random_points_cam, random_pose
+
+# --- projection -------------------------------------------------------------------------------------------
+
+
+def points(rng):
+    yield "one point, 10 m ahead", (CAMERA, np.array([[0.0, 0.0, 10.0]]))
+    for _ in range(5):
+        yield "random", (random_camera(rng), random_points_cam(rng, 4))
+
+
+def _homogeneous(points_cam):
+    return np.concatenate([points_cam, np.ones(points_cam.shape[:-1] + (1,))], axis=-1)
+
+
+@exercise(chapter=3, cases=points, shows=[StereoCamera.project, stereo.pi, vars(StereoCamera)["K_s"].func], hints=[
+    "Make the points homogeneous, q = [x, y, z, 1], divide by the depth, multiply with camera.K_s.",
+    "(camera.K_s @ (q / q[:, 2:3]).T).T; the last entry of q / q_3 is 1/z, which is what the baseline needs."])
+def project(camera, points_cam):
+    """Pixels of points: K_s pi(q) with q = [x, y, z, 1] and pi(q) = q / q_3.
+
+    camera : StereoCamera; camera.K_s is the stereo calibration matrix (4, 4). points_cam : (n, 3), m, in the left
+    camera, all in front of it. Returns (n, 4), [u_left, v_left, u_right, v_right], px.
+    """
+    return camera.project(points_cam)[0]
+
+
+@project.mistake("not divided by depth", "Perspective is the division by the depth q_3: pi(q) = q / q_3.")
+def _(camera, points_cam):
+    return _homogeneous(points_cam) @ camera.K_s.T
+
+
+@project.mistake("baseline not divided by depth", """Divide all of q by its depth, the 1 at its end too: the shift
+between the images is f_u b / z, not f_u b.""")
+def _(camera, points_cam):
+    return _homogeneous(points_cam / points_cam[:, 2:]) @ camera.K_s.T
+
+
+@project.mistake("right camera on the left", """The right camera sees everything further left: u_right = u_left - f_u b
+/ z.""")
+def _(camera, points_cam):
+    u, v, r, w = camera.project(points_cam)[0].T
+    return np.stack([u, v, 2 * u - r, w], axis=-1)
+
+
+@project.mistake("no baseline", "u_right is not u_left: the right camera is moved by the baseline.")
+def _(camera, points_cam):
+    u, v, *_ = camera.project(points_cam)[0].T
+    return np.stack([u, v, u, v], axis=-1)
+
+
+@project.mistake("principal point forgotten", "Pixels are counted from the corner of the image: add c_u and c_v.")
+def _(camera, points_cam):
+    c_u, c_v = camera.K[:2, 2]
+    return camera.project(points_cam)[0] - [c_u, c_v, c_u, c_v]
+
+
+def one_point(rng):
+    yield "10 m ahead", (CAMERA, np.array([0.0, 0.0, 10.0]))
+    for _ in range(6):
+        yield "random", (random_camera(rng), random_points_cam(rng, 1)[0])
+
+
+@exercise(chapter=3, cases=one_point, shows=[StereoCamera.projection_jacobian, stereo.dpi_dq], hints=[
+    "Differentiate each of the four entries of q / q_3 by each entry of q; K_s is a constant factor.",
+    "1/q_3 [[1, 0, -q_1/q_3, 0], [0, 1, -q_2/q_3, 0], [0, 0, 0, 0], [0, 0, -q_4/q_3, 1]], K_s in front."])
+def projection_jacobian(camera, point_cam):
+    """Derivative of the pixels by the homogeneous point: K_s dpi/dq at q = [x, y, z, 1].
+
+    camera : StereoCamera (camera.K_s). point_cam : (3,), m, in the left camera. Returns (4, 4), px/m.
+    """
+    return camera.projection_jacobian(point_cam)
+
+
+@projection_jacobian.mistake("1/q3 forgotten", """The whole matrix carries a factor 1/q_3: a point twice as far away
+moves half as much in the image.""")
+def _(camera, point_cam):
+    return point_cam[2] * camera.projection_jacobian(point_cam)
+
+
+@projection_jacobian.mistake("third column divided once", """The third column is divided by q_3 twice: d(q_1 / q_3) / d
+q_3 = -q_1 / q_3^2.""")
+def _(camera, point_cam):
+    D = stereo.dpi_dq(np.append(point_cam, 1.0))
+    D[:, 2] *= point_cam[2]
+    return camera.K_s @ D
+
+
+@projection_jacobian.mistake("sign of the third column", "d(1 / q_3) / d q_3 is negative: -q_1 / q_3^2.")
+def _(camera, point_cam):
+    return camera.projection_jacobian(point_cam) * [1, 1, -1, 1]
+
+
+@projection_jacobian.mistake("third column forgotten", """Moving a point away moves its pixels towards the centre: the
+derivative by q_3 is not zero.""")
+def _(camera, point_cam):
+    return camera.projection_jacobian(point_cam) * [1, 1, 0, 1]
+
+
+@projection_jacobian.mistake("third row not zero", """The third entry of q / q_3 is always 1: its derivative is zero, by
+q_3 too.""")
+def _(camera, point_cam):
+    D = stereo.dpi_dq(np.append(point_cam, 1.0))
+    D[2, 2] = 1 / point_cam[2]
+    return camera.K_s @ D
+
+
+@projection_jacobian.mistake("K_s forgotten", "This is dpi/dq alone; the pixels are K_s pi(q).")
+def _(camera, point_cam):
+    return stereo.dpi_dq(np.append(point_cam, 1.0))
+
+
+def one_landmark(rng):
+    for _ in range(6):
+        world_T_imu, camera = random_pose(rng), random_camera(rng)
+        yield "random", (camera, world_T_imu, random_landmarks(rng, world_T_imu, 1, camera)[0])
+
+
+@exercise(chapter=3, cases=one_landmark, hints=[
+    "Chain rule: world to IMU, IMU to camera, camera to pixels. Only the rotations of the first two steps remain.",
+    "(camera.projection_jacobian(q) @ camera.cam_T_imu)[:, :3] @ R.T with q the landmark in the camera frame."],
+    shows=[StereoCamera.landmark_jacobian, StereoCamera.measurement_jacobian, StereoCamera.projection_jacobian])
+def landmark_jacobian(camera, world_T_imu, landmark):
+    """Derivative of the pixels K_s pi(cam_T_imu T^-1 m) by the landmark m.
+
+    camera : StereoCamera (cam_T_imu, projection_jacobian, to_cam). world_T_imu : (4, 4). landmark : (3,), m,
+    world. Returns (4, 3), px/m.
+    """
+    return camera.landmark_jacobian(world_T_imu, landmark)
+
+
+def _landmark_jacobian(camera, q, rotation):
+    return camera.projection_jacobian(q)[:, :3] @ rotation
+
+
+@landmark_jacobian.mistake("extrinsics forgotten", """Between the IMU and the camera there is a rotation too: cam_T_imu
+belongs between K_s dpi/dq and R^T.""")
+def _(camera, world_T_imu, landmark):
+    return _landmark_jacobian(camera, camera.to_cam(world_T_imu, landmark), world_T_imu[:3, :3].T)
+
+
+@landmark_jacobian.mistake("pose in place of its inverse", """Landmarks go from the world to the IMU: T^-1, so R^T. The
+report's section 3.2.2 writes T.""")
+def _(camera, world_T_imu, landmark):
+    return _landmark_jacobian(camera, camera.to_cam(world_T_imu, landmark),
+                              camera.cam_T_imu[:3, :3] @ world_T_imu[:3, :3])
+
+
+@landmark_jacobian.mistake("R^T forgotten", "This is the derivative by the point in the IMU frame; R^T is missing.")
+def _(camera, world_T_imu, landmark):
+    return camera.measurement_jacobian(camera.to_cam(world_T_imu, landmark))
+
+
+@landmark_jacobian.mistake("1/q3 forgotten", "dpi/dq carries a factor 1/q_3.")
+def _(camera, world_T_imu, landmark):
+    q = camera.to_cam(world_T_imu, landmark)
+    return q[2] * camera.landmark_jacobian(world_T_imu, landmark)
+
+
+@landmark_jacobian.mistake("sign flipped", """Only the pose enters through its inverse; the derivative by the landmark
+has no minus.""")
+def _(camera, world_T_imu, landmark):
+    return -camera.landmark_jacobian(world_T_imu, landmark)
+
+
+@landmark_jacobian.mistake("imu_T_cam in place of cam_T_imu", "From the IMU to the camera goes cam_T_imu.")
+def _(camera, world_T_imu, landmark):
+    q = camera.to_cam(world_T_imu, landmark)
+    return _landmark_jacobian(camera, q, camera.imu_T_cam[:3, :3] @ world_T_imu[:3, :3].T)
+
+
+@landmark_jacobian.mistake("taken at the point in the IMU frame", """dpi/dq is taken at q, the point in the camera
+frame, depth along z. In the IMU frame z points up.""")
+def _(camera, world_T_imu, landmark):
+    s = se3.transform(se3.inverse(world_T_imu), landmark)
+    D = stereo.dpi_dq(np.append(s, 1.0))
+    return (camera.K_s @ D)[:, :3] @ camera.cam_T_imu[:3, :3] @ world_T_imu[:3, :3].T
+
+
+# --- Kalman update ----------------------------------------------------------------------------------------
+
+def updates(rng):
+    for n, m in [(1, 1), (3, 2), (3, 2), (6, 4), (6, 4)]:
+        label = "random" if n > 1 else "1 unknown, 1 measurement"
+        yield label, (random_covariance(rng, n, 1.0), rng.normal(size=(m, n)), random_covariance(rng, m, 1.0),
+                      rng.normal(size=m))
+
+
+def _gain(P, H, V):
+    return P @ H.T @ np.linalg.inv(H @ P @ H.T + V)
+
+
+@exercise(chapter=3, cases=updates, shows=[kalman.update, kalman.gain, kalman.innovation_covariance],
+          outputs=("delta", "covariance"), hints=[
+    "First S, then the gain K = P H^T S^-1 (np.linalg.solve rather than an inverse), then the two results.",
+    "delta = K r; covariance = (I - K H) P (I - K H)^T + K V K^T, the Joseph form, equal to (I - K H) P on paper."])
+def kalman_update(covariance, H, V, residual):
+    """One Kalman update: the correction of the mean and the new covariance.
+
+    covariance : (n, n). H : (m, n). V : (m, m), noise. residual : (m,), measured minus predicted.
+    Returns delta (n,), to be added to the mean, and the covariance (n, n) afterwards.
+    """
+    return kalman.update(covariance, H, V, residual)
+
+
+@kalman_update.mistake("noise left out of S", """S = H P H^T + V: the residual also scatters by the noise of the
+measurement.""")
+def _(covariance, H, V, residual):
+    K = covariance @ H.T @ np.linalg.inv(H @ covariance @ H.T)
+    return K @ residual, (np.eye(len(covariance)) - K @ H) @ covariance
+
+
+@kalman_update.mistake("covariance of the wrong sign", """A measurement never makes you less sure: (I - K H) P, not (I +
+K H) P.""")
+def _(covariance, H, V, residual):
+    K = _gain(covariance, H, V)
+    return K @ residual, (np.eye(len(covariance)) + K @ H) @ covariance
+
+
+@kalman_update.mistake("covariance not updated", """The mean has moved, so the filter has learned: the covariance
+shrinks.""")
+def _(covariance, H, V, residual):
+    return _gain(covariance, H, V) @ residual, covariance.copy()
+
+
+@kalman_update.mistake("Joseph form without K V K^T", """(I - K H) P (I - K H)^T is only half of the Joseph form; the
+noise that came in through the gain is the other half.""")
+def _(covariance, H, V, residual):
+    K = _gain(covariance, H, V)
+    A = np.eye(len(covariance)) - K @ H
+    return K @ residual, A @ covariance @ A.T
+
+
+@kalman_update.mistake("correction of the wrong sign", """The residual is measured minus predicted: the state moves by
+plus K r.""")
+def _(covariance, H, V, residual):
+    delta, P = kalman.update(covariance, H, V, residual)
+    return -delta, P
+
+
+@kalman_update.mistake("S not inverted", "The gain is P H^T S^-1: solve with S, do not multiply by it.")
+def _(covariance, H, V, residual):
+    K = covariance @ H.T @ (H @ covariance @ H.T + V)
+    return K @ residual, (np.eye(len(covariance)) - K @ H) @ covariance
+
+
+@kalman_update.mistake("gain without the covariance", """The gain is P H^T S^-1: without P it does not know what is
+uncertain.""")
+def _(covariance, H, V, residual):
+    K = H.T @ np.linalg.inv(H @ covariance @ H.T + V)
+    return K @ residual, (np.eye(len(covariance)) - K @ H) @ covariance
+
+
+def noises(rng):
+    yield "one measurement", (random_covariance(rng, 4, 1.0), 1)
+    for n in (2, 3, 5):
+        yield "random", (random_covariance(rng, 4, 1.0), n)
+
+
+@exercise(chapter=3, cases=noises, shows=[np.kron], hints=[
+    "Write it down for two measurements: V upper left, V lower right. What stands between different measurements?",
+    "A Kronecker product with an identity: np.kron(np.eye(n), V)."])
+def stacked_noise(V, n):
+    """Covariance of n stereo measurements in one long vector: I (x) V, V on the diagonal, zero elsewhere.
+
+    V : (4, 4), px^2, of one measurement. n : how many. Returns (4n, 4n), px^2, measurement after measurement.
+    """
+    return np.kron(np.eye(n), V)
+
+
+@stacked_noise.mistake("np.tile in place of the Kronecker product", """np.tile repeats V everywhere: then all
+measurements share one noise, and the filter believes that two landmarks err together.""")
+def _(V, n):
+    return np.tile(V, (n, n))
+
+
+@stacked_noise.mistake("Kronecker product the wrong way round", """np.kron(V, I) groups all u_left, then all v_left, and
+so on. Here each measurement keeps its four numbers together: I first.""")
+def _(V, n):
+    return np.kron(V, np.eye(n))
+
+
+@stacked_noise.mistake("correlations dropped", """Only the diagonal of V has arrived. V is a full matrix and its blocks
+are copied whole.""")
+def _(V, n):
+    return np.kron(np.eye(n), np.diag(np.diag(V)))
+
+
+@stacked_noise.mistake("V of one measurement", """One V for each of the n measurements: (4n, 4n), not the sum or mean of
+them.""")
+def _(V, n):
+    return block_diag(V, np.zeros((4 * n - 4, 4 * n - 4)))
+
+
+def corrections(rng):
+    yield "all accepted", (rng.normal(size=(3, 3)), np.array([0, 1, 2]), np.ones(3, bool), rng.normal(size=(3, 3)))
+    for _ in range(4):
+        ids = rng.choice(8, size=5, replace=False)
+        accepted = np.array([True, False, True, True, False])
+        yield "random", (rng.normal(size=(8, 3)), ids, accepted, rng.normal(size=(5, 3)))
+
+
+@exercise(chapter=3, cases=corrections, shows=[mapping.run], hints=[
+    "Which rows of landmarks do the accepted measurements belong to? Index once, with one array.",
+    "new = landmarks.copy(); new[ids[accepted]] += delta[accepted]"])
+def correct_landmarks(landmarks, ids, accepted, delta):
+    """The map after the corrections of one frame; landmarks keeps its values, the result is a new array.
+
+    landmarks : (M, 3), m. ids : (n,), rows of landmarks that were measured. accepted : (n,) bool, which of these
+    passed the gate. delta : (n, 3), m, correction of each measured landmark. Returns (M, 3), m.
+    """
+    new = landmarks.copy()
+    new[ids[accepted]] += delta[accepted]
+    return new
+
+
+@correct_landmarks.mistake("chained indexing updates a copy", """new[ids][accepted] += ... changes the temporary array
+that new[ids] made, and nothing else. Index once: new[ids[accepted]] += delta[accepted].""")
+def _(landmarks, ids, accepted, delta):
+    new = landmarks.copy()
+    new[ids][accepted] += delta[accepted]
+    return new
+
+
+@correct_landmarks.mistake("gate ignored", "Measurements that the gate rejected must not move their landmark.")
+def _(landmarks, ids, accepted, delta):
+    new = landmarks.copy()
+    new[ids] += delta
+    return new
+
+
+@correct_landmarks.mistake("first rows instead of the accepted ones", """delta has a row for each measurement, rejected
+ones included: pick delta[accepted], not its first rows.""")
+def _(landmarks, ids, accepted, delta):
+    new = landmarks.copy()
+    new[ids[accepted]] += delta[:accepted.sum()]
+    return new
+
+
+@correct_landmarks.mistake("correction put in place of the landmark", """delta is a correction: add it (+=), do not
+assign it (=).""")
+def _(landmarks, ids, accepted, delta):
+    new = landmarks.copy()
+    new[ids[accepted]] = delta[accepted]
+    return new

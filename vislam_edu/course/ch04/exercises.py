@@ -1,0 +1,184 @@
+"""Exercises of notebook 04: how a pose is corrected by the cameras."""
+
+import numpy as np
+from scipy.linalg import block_diag
+
+from ... import kalman, odometry, se3
+from ...stereo import StereoCamera
+from ..ch03.exercises import one_landmark
+from ..checks.exercise import exercise
+from ..checks.inputs import perturbed, random_camera, random_covariance, random_landmarks, random_pose
+
+
+def bare_points(rng):
+    yield "the origin", (np.zeros(3),)
+    yield "[1, 2, 3]", (np.array([1.0, 2.0, 3.0]),)
+    for _ in range(4):
+        yield "random", (rng.normal(size=3),)
+
+
+@exercise(chapter=4, cases=bare_points, shows=[se3.odot, se3.so3_hat], hints=[
+    "Write out hat(xi) @ [s, 1] = [omega x s + v, 0] and collect what multiplies v and what multiplies omega.",
+    "[[I, -s^], [0, 0]]: omega x s is -s x omega."])
+def odot(point):
+    """Circled-dot operator: `hat(xi) @ [point, 1] == odot(point) @ xi` for every twist xi = [v, omega].
+
+    point : (3,), m. Returns (4, 6). You may use `se3.so3_hat`.
+    """
+    return se3.odot(point)
+
+
+@odot.mistake("sign of the hat", "omega x s = -s x omega: the block is -s^.")
+def _(point):
+    return se3.odot(point) * [1, 1, 1, -1, -1, -1]
+
+
+@odot.mistake("rotation and translation swapped", "The columns follow the twist [v, omega]: I first, -s^ second.")
+def _(point):
+    return np.roll(se3.odot(point), 3, axis=1)
+
+
+@odot.mistake("last row not zero", """hat(xi) has a zero last row: a direction of motion has a zero where a point has
+its one.""")
+def _(point):
+    D = se3.odot(point)
+    D[3] = 1.0
+    return D
+
+
+@exercise(chapter=4, cases=one_landmark, hints=[
+    "A right perturbation moves the point in the IMU frame: (T exp(e^))^-1 m = exp(-e^) s, about s - odot(s) e.",
+    "-camera.projection_jacobian(q) @ camera.cam_T_imu @ se3.odot(s), s: landmark in the IMU frame, q: in the camera."],
+    shows=[StereoCamera.pose_jacobian, StereoCamera.projection_jacobian, se3.odot])
+def pose_jacobian(camera, world_T_imu, landmark):
+    """Derivative of the pixels by the right perturbation e of T exp(e^), at e = 0.
+
+    camera : StereoCamera (cam_T_imu, projection_jacobian). world_T_imu : (4, 4). landmark : (3,), m, world.
+    Returns (4, 6), px per [m, rad]: -K_s dpi/dq(q) cam_T_imu odot(s), s = T^-1 m in the IMU frame, q = cam_T_imu s.
+    You may use `se3`.
+    """
+    return camera.pose_jacobian(world_T_imu, landmark)
+
+
+def _s_and_J(camera, world_T_imu, landmark):
+    s = se3.transform(se3.inverse(world_T_imu), landmark)
+    return s, camera.projection_jacobian(se3.transform(camera.cam_T_imu, s))
+
+
+@pose_jacobian.mistake("extrinsics forgotten", """odot(s) is expressed in the IMU frame, dpi/dq in the camera frame:
+cam_T_imu stands between them.""")
+def _(camera, world_T_imu, landmark):
+    s, J = _s_and_J(camera, world_T_imu, landmark)
+    return -J @ se3.odot(s)
+
+
+@pose_jacobian.mistake("sign flipped", """When the camera moves forward the points come towards it: the Jacobian carries
+a minus sign, because the pose enters through its inverse.""")
+def _(camera, world_T_imu, landmark):
+    return -camera.pose_jacobian(world_T_imu, landmark)
+
+
+@pose_jacobian.mistake("world and body mixed", """This belongs to exp(e^) T, a perturbation expressed in the world
+frame. A right perturbation T exp(e^) is expressed in the body: odot(s), s in the IMU frame.""")
+def _(camera, world_T_imu, landmark):
+    _, J = _s_and_J(camera, world_T_imu, landmark)
+    return -J @ camera.cam_T_imu @ se3.inverse(world_T_imu) @ se3.odot(landmark)
+
+
+@pose_jacobian.mistake("rotation and translation swapped", "The columns follow e = [v, omega]: position first.")
+def _(camera, world_T_imu, landmark):
+    return np.roll(camera.pose_jacobian(world_T_imu, landmark), 3, axis=1)
+
+
+@pose_jacobian.mistake("odot of the point in the camera frame", """The perturbation turns the body about the IMU:
+odot(s) with s in the IMU frame, not odot(q).""")
+def _(camera, world_T_imu, landmark):
+    s, J = _s_and_J(camera, world_T_imu, landmark)
+    return -J @ camera.cam_T_imu @ se3.odot(se3.transform(camera.cam_T_imu, s))
+
+
+@pose_jacobian.mistake("1/q3 forgotten", "dpi/dq carries a factor 1/q_3.")
+def _(camera, world_T_imu, landmark):
+    depth = camera.to_cam(world_T_imu, landmark)[2]
+    return depth * camera.pose_jacobian(world_T_imu, landmark)
+
+
+def frames(rng):
+    for _ in range(4):
+        true, camera = random_pose(rng), random_camera(rng)
+        landmarks = random_landmarks(rng, true, 5, camera)
+        pixels = camera.project(camera.to_cam(true, landmarks))[0] + rng.normal(size=(5, 4))
+        yield "random", (camera, perturbed(rng, true), random_covariance(rng, 6, 0.05), landmarks, pixels,
+                         rng.uniform(0.7, 3.0))
+
+
+def _correction(camera, world_T_imu, covariance, landmarks, pixels, V):
+    H = camera.pose_jacobian(world_T_imu, landmarks).reshape(-1, 6)
+    residual = (pixels - camera.observe(world_T_imu, landmarks)[0]).ravel()
+    return kalman.update(covariance, H, V, residual)
+
+
+@exercise(chapter=4, cases=frames, shows=[odometry.observe, kalman.update], outputs=("world_T_imu", "covariance"),
+          tolerance=1e-7, hints=[
+    "Stack the Jacobians (4n, 6) and the residuals (4n,), do one Kalman update, and apply its correction on the pose.",
+    "delta, P = kalman.update(P, H.reshape(-1, 6), sigma_px**2 * np.eye(4n), residual.ravel()); T @ se3.exp(delta)."])
+def pose_update(camera, world_T_imu, covariance, landmarks, pixels, sigma_px):
+    """EKF update of a pose against n landmarks whose positions are known, all at once.
+
+    camera : StereoCamera; camera.observe(world_T_imu, landmarks) returns pixels (n, 4) and a mask (n,), True in
+    front of the camera as all are here; camera.pose_jacobian(world_T_imu, landmarks) returns (n, 4, 6).
+    world_T_imu : (4, 4). covariance : (6, 6) of the right perturbation, [position m, rotation rad]. landmarks :
+    (n, 3), m, world. pixels : (n, 4), measured. sigma_px : px. Returns world_T_imu (4, 4) and covariance (6, 6)
+    afterwards. You may use `se3` and `kalman.update`.
+    """
+    delta, P = _correction(camera, world_T_imu, covariance, landmarks, pixels, sigma_px**2 * np.eye(pixels.size))
+    return world_T_imu @ se3.exp(delta), P
+
+
+@pose_update.mistake("world and body mixed", """The correction is a right perturbation, expressed in the body frame: T
+exp(delta^), not exp(delta^) T.""")
+def _(camera, world_T_imu, covariance, landmarks, pixels, sigma_px):
+    delta, P = _correction(camera, world_T_imu, covariance, landmarks, pixels, sigma_px**2 * np.eye(pixels.size))
+    return se3.exp(delta) @ world_T_imu, P
+
+
+@pose_update.mistake("residual of the wrong sign", "The residual is measured minus predicted, not the reverse.")
+def _(camera, world_T_imu, covariance, landmarks, pixels, sigma_px):
+    delta, P = _correction(camera, world_T_imu, covariance, landmarks, pixels, sigma_px**2 * np.eye(pixels.size))
+    return world_T_imu @ se3.exp(-delta), P
+
+
+@pose_update.mistake("correction added", """A pose is not corrected by adding: T (I + delta^) is no pose any more. Use
+the exponential.""")
+def _(camera, world_T_imu, covariance, landmarks, pixels, sigma_px):
+    delta, P = _correction(camera, world_T_imu, covariance, landmarks, pixels, sigma_px**2 * np.eye(pixels.size))
+    return world_T_imu @ (np.eye(4) + se3.hat(delta)), P
+
+
+@pose_update.mistake("position and rotation corrected apart", """exp(delta^) corrects position and rotation as one
+motion. Adding R v to the position and turning R afterwards is not the same.""")
+def _(camera, world_T_imu, covariance, landmarks, pixels, sigma_px):
+    delta, P = _correction(camera, world_T_imu, covariance, landmarks, pixels, sigma_px**2 * np.eye(pixels.size))
+    return world_T_imu @ se3.pose(se3.so3_exp(delta[3:]), delta[:3]), P
+
+
+@pose_update.mistake("np.tile in place of the Kronecker product", """The noise of n measurements is I (x) V. np.tile
+puts V between different landmarks too, as if they all shared one noise.""")
+def _(camera, world_T_imu, covariance, landmarks, pixels, sigma_px):
+    V = np.tile(sigma_px**2 * np.eye(4), (len(pixels), len(pixels)))
+    H = camera.pose_jacobian(world_T_imu, landmarks).reshape(-1, 6)
+    residual = (pixels - camera.observe(world_T_imu, landmarks)[0]).ravel()
+    K = covariance @ H.T @ np.linalg.inv(H @ covariance @ H.T + V)
+    return world_T_imu @ se3.exp(K @ residual), (np.eye(6) - K @ H) @ covariance
+
+
+@pose_update.mistake("sigma not squared", "V holds variances: sigma_px squared.")
+def _(camera, world_T_imu, covariance, landmarks, pixels, sigma_px):
+    return pose_update.reference(camera, world_T_imu, covariance, landmarks, pixels, sigma_px**0.5)
+
+
+@pose_update.mistake("position and rotation taken for independent", """Only the diagonal blocks of the covariance were
+used: what the cameras say about the rotation also tells something about the position.""")
+def _(camera, world_T_imu, covariance, landmarks, pixels, sigma_px):
+    blocks = block_diag(covariance[:3, :3], covariance[3:, 3:])
+    return pose_update.reference(camera, world_T_imu, blocks, landmarks, pixels, sigma_px)

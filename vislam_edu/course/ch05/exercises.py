@@ -1,0 +1,323 @@
+"""Exercises of notebook 05: one Gaussian over landmarks and pose, landmarks first."""
+
+import numpy as np
+from scipy.linalg import block_diag
+
+from ... import ekf_slam, kalman, se3
+from ..checks.exercise import exercise
+from ..checks.inputs import random_covariance, random_pose
+
+# --- prediction -------------------------------------------------------------------------------------------
+
+
+def joint_predictions(rng):
+    yield "no landmark yet", (random_covariance(rng, 6), se3.adjoint(random_pose(rng)), random_covariance(rng, 6))
+    for n in (1, 2, 4):
+        yield "random", (random_covariance(rng, 3 * n + 6), se3.adjoint(random_pose(rng, 1.0)),
+                         random_covariance(rng, 6))
+
+
+def _carried(P, F, W, cross=True):
+    """The joint covariance after a step; cross : whether the cross-covariances move along."""
+    n = len(P) - 6
+    new = P.copy()
+    new[n:, n:] = F @ P[n:, n:] @ F.T + W
+    if cross:
+        new[:n, n:] = P[:n, n:] @ F.T
+        new[n:, :n] = F @ P[n:, :n]
+    return new
+
+
+@exercise(chapter=5, cases=joint_predictions, shows=[ekf_slam.predict_joint], hints=[
+    "Landmarks stand still, the pose error is multiplied by F: the whole transition is block_diag(I, F).",
+    "P_LL stays; P_LR becomes P_LR F^T and P_RL becomes F P_RL; P_RR becomes F P_RR F^T + W."])
+def predict_joint(covariance, F, W):
+    """The joint covariance after one step of the IMU: the pose moves, the landmarks do not.
+
+    covariance : (3n+6, 3n+6), landmarks first, then the pose. F : (6, 6), transition of the pose error. W : (6, 6).
+    Returns (3n+6, 3n+6).
+    """
+    return _carried(covariance, F, W)
+
+
+@predict_joint.mistake("cross-covariances not propagated", """Only the pose block was carried along. What ties pose and
+landmarks together moves too: P_LR becomes P_LR F^T, P_RL becomes F P_RL.""")
+def _(covariance, F, W):
+    return _carried(covariance, F, W, cross=False)
+
+
+@predict_joint.mistake("one cross-covariance not written", """Both cross blocks change, one is the transpose of the
+other: writing P_LR alone leaves the matrix unsymmetric.""")
+def _(covariance, F, W):
+    n = len(covariance) - 6
+    new = _carried(covariance, F, W)
+    new[n:, :n] = covariance[n:, :n]
+    return new
+
+
+@predict_joint.mistake("cross-covariances set to zero", """Moving does not make the pose independent of the map: P_LR
+becomes P_LR F^T, not zero.""")
+def _(covariance, F, W):
+    n = len(covariance) - 6
+    return block_diag(covariance[:n, :n], F @ covariance[n:, n:] @ F.T + W)
+
+
+@predict_joint.mistake("cross-covariances without the transpose", """Covariance of landmark error and F times pose error
+is P_LR F^T: the transpose stands on the right.""")
+def _(covariance, F, W):
+    n = len(covariance) - 6
+    new = _carried(covariance, F, W)
+    new[:n, n:] = covariance[:n, n:] @ F
+    new[n:, :n] = new[:n, n:].T
+    return new
+
+
+@predict_joint.mistake("chained indexing updates a copy", """P[rows][:, columns] = ... changes the temporary array that
+P[rows] made, if rows is an array or a mask. Use P[np.ix_(rows, columns)] or slices, P[n:, n:].""")
+def _(covariance, F, W):
+    new, pose = covariance.copy(), np.arange(len(covariance) - 6, len(covariance))
+    new[pose][:, pose] = F @ new[np.ix_(pose, pose)] @ F.T + W
+    return new
+
+
+@predict_joint.mistake("pose taken to come first", """The state is ordered landmarks first, then pose: the pose is the
+last six.""")
+def _(covariance, F, W):
+    Phi = block_diag(F, np.eye(len(covariance) - 6))
+    return Phi @ covariance @ Phi.T + block_diag(W, np.zeros_like(covariance[6:, 6:]))
+
+
+# --- a new landmark ---------------------------------------------------------------------------------------
+
+def births(rng):
+    yield "the first landmark", (random_covariance(rng, 6), random_pose(rng), np.array([8.0, 1.0, 0.5]),
+                                 random_covariance(rng, 3, 0.3))
+    for n in (1, 2, 3):
+        yield "random", (random_covariance(rng, 3 * n + 6), random_pose(rng),
+                                     np.array([8.0, 0.0, 0.0]) + rng.normal(size=3), random_covariance(rng, 3, 0.3))
+
+
+def _born(P, world_T_imu, point_imu, G, own, cross=None):
+    """Landmark and covariance with a new landmark between the old ones and the pose; cross : (3, d) with them."""
+    n = len(P) - 6
+    cross = G @ P[n:] if cross is None else cross
+    big = np.block([[P[:n, :n], cross[:, :n].T, P[:n, n:]],
+                    [cross[:, :n], own, cross[:, n:]],
+                    [P[n:, :n], cross[:, n:].T, P[n:, n:]]])
+    return se3.transform(world_T_imu, point_imu), big
+
+
+def _G(world_T_imu, point_imu):
+    R = world_T_imu[:3, :3]
+    return np.hstack([R, -R @ se3.so3_hat(point_imu)])
+
+
+@exercise(chapter=5, cases=births, shows=[ekf_slam.new_landmark],
+          outputs=("landmark", "covariance"), hints=[
+    "m = R s + p. An error of the pose moves the new landmark by G e, an error of s by R times it.",
+    "G = R [I, -s^]; own block G P_RR G^T + R C R^T; with every old variable G P[-6:], landmarks included."])
+def new_landmark(covariance, world_T_imu, point_imu, C):
+    """A landmark joins the state, its first measurement used once; it stands after the old landmarks, before the pose.
+
+    covariance : (3n+6, 3n+6), [landmarks, pose], right perturbation. world_T_imu : (4, 4). point_imu : (3,), m, the
+    triangulated point s in the IMU frame. C : (3, 3), m^2, covariance of its triangulation, in the IMU frame.
+    Returns the landmark (3,), m, world, and the covariance (3n+9, 3n+9). You may use `se3`.
+    """
+    G, R = _G(world_T_imu, point_imu), world_T_imu[:3, :3]
+    return _born(covariance, world_T_imu, point_imu, G, G @ covariance[-6:, -6:] @ G.T + R @ C @ R.T)
+
+
+@new_landmark.mistake("no correlation with the pose", """The landmark was placed from the pose, so it shares the pose's
+error: its cross-covariances are G P_R., not zero.""")
+def _(covariance, world_T_imu, point_imu, C):
+    G, R = _G(world_T_imu, point_imu), world_T_imu[:3, :3]
+    own = G @ covariance[-6:, -6:] @ G.T + R @ C @ R.T
+    return _born(covariance, world_T_imu, point_imu, G, own, np.zeros((3, len(covariance))))
+
+
+@new_landmark.mistake("cross-covariances with old landmarks never written", """The pose is correlated with the landmarks
+that are there already, and the new one inherits that: G P_RL.""")
+def _(covariance, world_T_imu, point_imu, C):
+    G, R = _G(world_T_imu, point_imu), world_T_imu[:3, :3]
+    cross = G @ covariance[-6:]
+    cross[:, :-6] = 0.0
+    return _born(covariance, world_T_imu, point_imu, G, G @ covariance[-6:, -6:] @ G.T + R @ C @ R.T, cross)
+
+
+@new_landmark.mistake("pose assumed known", """R C R^T is the landmark's uncertainty if the pose were exact. The pose's
+own error comes on top: G P_RR G^T, and the correlation with it.""")
+def _(covariance, world_T_imu, point_imu, C):
+    G, R = _G(world_T_imu, point_imu), world_T_imu[:3, :3]
+    return _born(covariance, world_T_imu, point_imu, G, R @ C @ R.T, np.zeros((3, len(covariance))))
+
+
+@new_landmark.mistake("the report's 2 I", """The report gives every new landmark 2 m^2 per axis and no correlation. A
+far one is known worse, a near one better, and all of them share the error of the pose.""")
+def _(covariance, world_T_imu, point_imu, C):
+    G = _G(world_T_imu, point_imu)
+    return _born(covariance, world_T_imu, point_imu, G, 2 * np.eye(3), np.zeros((3, len(covariance))))
+
+
+@new_landmark.mistake("first measurement used twice", """The triangulation has used the first measurement up. An update
+with it counts the same pixels again, and the covariance comes out too small.""")
+def _(covariance, world_T_imu, point_imu, C):
+    m, P = new_landmark.reference(covariance, world_T_imu, point_imu, C)
+    R = world_T_imu[:3, :3]
+    H = np.hstack([np.zeros((3, len(covariance) - 6)), R.T, -np.eye(3), se3.so3_hat(point_imu)])
+    return m, kalman.update(P, H, C, np.zeros(3))[1]
+
+
+@new_landmark.mistake("triangulation not turned into the world", """C is expressed in the IMU frame, the landmark in the
+world: R C R^T.""")
+def _(covariance, world_T_imu, point_imu, C):
+    G = _G(world_T_imu, point_imu)
+    return _born(covariance, world_T_imu, point_imu, G, G @ covariance[-6:, -6:] @ G.T + C)
+
+
+@new_landmark.mistake("world and body mixed", """[I, -m^] belongs to a perturbation expressed in the world frame. For
+the right perturbation G = R [I, -s^], s in the IMU frame.""")
+def _(covariance, world_T_imu, point_imu, C):
+    R = world_T_imu[:3, :3]
+    G = np.hstack([np.eye(3), -se3.so3_hat(se3.transform(world_T_imu, point_imu))])
+    return _born(covariance, world_T_imu, point_imu, G, G @ covariance[-6:, -6:] @ G.T + R @ C @ R.T)
+
+
+@new_landmark.mistake("put after the pose", """The order is landmarks first, then pose: the new landmark goes in front
+of the pose.""")
+def _(covariance, world_T_imu, point_imu, C):
+    m, P = new_landmark.reference(covariance, world_T_imu, point_imu, C)
+    n = len(covariance) - 6
+    order = np.r_[:n, n + 3:n + 9, n:n + 3]
+    return m, P[np.ix_(order, order)]
+
+
+# --- update -----------------------------------------------------------------------------------------------
+
+def jacobians(rng):
+    yield "one landmark", (rng.normal(size=(1, 4, 3)), rng.normal(size=(1, 4, 6)), np.array([0]), 1)
+    for rows in ([0, 1], [2, 0, 3], [1, 4, 2]):
+        m = len(rows)
+        yield "random", (rng.normal(size=(m, 4, 3)), rng.normal(size=(m, 4, 6)), np.array(rows), 5)
+
+
+def _assembled(H_landmark, H_pose, n, columns):
+    """H with the landmark block of measurement i in columns(i) and the pose in the last six."""
+    H = np.zeros((4 * len(H_landmark), 3 * n + 6))
+    for i, (landmark, pose) in enumerate(zip(H_landmark, H_pose)):
+        H[4 * i:4 * i + 4, columns(i)] = landmark
+        H[4 * i:4 * i + 4, 3 * n:] = pose
+    return H
+
+
+@exercise(chapter=5, cases=jacobians, shows=[ekf_slam.joint_jacobian], hints=[
+    "Four rows for each measurement. In them only two blocks are not zero: its own landmark's and the pose's.",
+    "H[4*i:4*i+4, 3*rows[i]:3*rows[i]+3] = H_landmark[i] and H[4*i:4*i+4, 3*n:] = H_pose[i]"])
+def joint_jacobian(H_landmark, H_pose, rows, n):
+    """Jacobian of m stereo measurements by the joint state [landmark 0, landmark 1, ..., pose].
+
+    H_landmark : (m, 4, 3), px/m. H_pose : (m, 4, 6), px per [m, rad]. rows : (m,), which landmark of the state each
+    measurement shows. n : landmarks in the state. Returns (4m, 3n+6), measurement after measurement.
+    """
+    return _assembled(H_landmark, H_pose, n, lambda i: slice(3 * rows[i], 3 * rows[i] + 3))
+
+
+@joint_jacobian.mistake("interleaved and grouped orders mixed", """The state is x0 y0 z0 x1 y1 z1 ...: landmark j has
+columns 3j to 3j+2. Columns j, j+n, j+2n belong to an order that groups all x, all y, all z.""")
+def _(H_landmark, H_pose, rows, n):
+    return _assembled(H_landmark, H_pose, n, lambda i: rows[i] + n * np.arange(3))
+
+
+@joint_jacobian.mistake("rows grouped by coordinate", """The rows go measurement after measurement: u_left, v_left,
+u_right, v_right of the first, then of the second. Here all u_left come first.""")
+def _(H_landmark, H_pose, rows, n):
+    H = joint_jacobian.reference(H_landmark, H_pose, rows, n)
+    return H.reshape(len(rows), 4, -1).swapaxes(0, 1).reshape(4 * len(rows), -1)
+
+
+@joint_jacobian.mistake("rows ignored", """Measurement i shows landmark rows[i], not landmark i: its block goes to
+columns 3 rows[i] and on.""")
+def _(H_landmark, H_pose, rows, n):
+    return _assembled(H_landmark, H_pose, n, lambda i: slice(3 * i, 3 * i + 3))
+
+
+@joint_jacobian.mistake("pose taken to come first", """The state is ordered landmarks first, then pose: the pose has the
+last six columns.""")
+def _(H_landmark, H_pose, rows, n):
+    return np.roll(joint_jacobian.reference(H_landmark, H_pose, rows, n), 6, axis=1)
+
+
+@joint_jacobian.mistake("pose block forgotten", """Every measurement depends on the pose too: its block goes into the
+last six columns.""")
+def _(H_landmark, H_pose, rows, n):
+    return joint_jacobian.reference(H_landmark, 0 * H_pose, rows, n)
+
+
+def joint_updates(rng):
+    for n in (1, 2, 3):
+        d = 3 * n + 6
+        yield "random" if n > 1 else "1 landmark", (
+            random_pose(rng), rng.normal(size=(n, 3)), random_covariance(rng, d, 0.3),
+            rng.normal(size=(4 * n, d)), rng.normal(size=4 * n), random_covariance(rng, 4 * n, 0.5))
+
+
+def _moved(world_T_imu, landmarks, delta, P):
+    n = landmarks.size
+    return world_T_imu @ se3.exp(delta[n:]), landmarks + delta[:n].reshape(-1, 3), P
+
+
+@exercise(chapter=5, cases=joint_updates, shows=[ekf_slam.joint_update, kalman.update],
+          outputs=("world_T_imu", "landmarks", "covariance"), tolerance=1e-7, hints=[
+    "One Kalman update over the whole state; then its correction is cut into landmarks (added) and pose (exponential).",
+    "delta, P = kalman.update(...); landmarks + delta[:3n].reshape(n, 3); world_T_imu @ se3.exp(delta[3n:])"])
+def joint_update(world_T_imu, landmarks, covariance, H, residual, V):
+    """EKF update of landmarks and pose together.
+
+    world_T_imu : (4, 4). landmarks : (n, 3), m. covariance : (3n+6, 3n+6), [landmarks, pose], right perturbation.
+    H : (k, 3n+6). residual : (k,), px, measured minus predicted. V : (k, k), px^2.
+    Returns world_T_imu (4, 4), landmarks (n, 3) and covariance (3n+6, 3n+6). You may use `se3` and `kalman.update`.
+    """
+    return _moved(world_T_imu, landmarks, *kalman.update(covariance, H, V, residual))
+
+
+@joint_update.mistake("interleaved and grouped orders mixed", """delta is x0 y0 z0 x1 y1 z1 ...: reshape(n, 3). With
+reshape(3, n).T the coordinates of different landmarks change places.""")
+def _(world_T_imu, landmarks, covariance, H, residual, V):
+    delta, P = kalman.update(covariance, H, V, residual)
+    n = landmarks.size
+    return world_T_imu @ se3.exp(delta[n:]), landmarks + delta[:n].reshape(3, -1).T, P
+
+
+@joint_update.mistake("cross-covariances cut", """Landmarks and pose were taken for independent. Their correlation is
+what lets a measurement of one landmark correct the others.""")
+def _(world_T_imu, landmarks, covariance, H, residual, V):
+    n = landmarks.size
+    apart = block_diag(covariance[:n, :n], covariance[n:, n:])
+    return _moved(world_T_imu, landmarks, *kalman.update(apart, H, V, residual))
+
+
+@joint_update.mistake("chained indexing updates a copy", """new[seen][...] += ... changes a temporary array: the
+landmarks came back as they were. Index once.""")
+def _(world_T_imu, landmarks, covariance, H, residual, V):
+    delta, P = kalman.update(covariance, H, V, residual)
+    return world_T_imu @ se3.exp(delta[landmarks.size:]), landmarks.copy(), P
+
+
+@joint_update.mistake("world and body mixed", """The pose's correction is a right perturbation, expressed in the body
+frame: T exp(delta^), not exp(delta^) T.""")
+def _(world_T_imu, landmarks, covariance, H, residual, V):
+    delta, P = kalman.update(covariance, H, V, residual)
+    n = landmarks.size
+    return se3.exp(delta[n:]) @ world_T_imu, landmarks + delta[:n].reshape(-1, 3), P
+
+
+@joint_update.mistake("pose not corrected", "The last six entries of delta correct the pose.")
+def _(world_T_imu, landmarks, covariance, H, residual, V):
+    delta, P = kalman.update(covariance, H, V, residual)
+    return world_T_imu.copy(), landmarks + delta[:landmarks.size].reshape(-1, 3), P
+
+
+@joint_update.mistake("correction added", "T (I + delta^) is no pose any more. Use the exponential.")
+def _(world_T_imu, landmarks, covariance, H, residual, V):
+    delta, P = kalman.update(covariance, H, V, residual)
+    n = landmarks.size
+    return world_T_imu @ (np.eye(4) + se3.hat(delta[n:])), landmarks + delta[:n].reshape(-1, 3), P

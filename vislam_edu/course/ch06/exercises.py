@@ -1,0 +1,154 @@
+"""Exercises of notebook 06: is the claimed uncertainty true?"""
+
+import numpy as np
+from scipy.special import ndtri
+
+from ... import kalman, metrics
+from ...noise import Noise
+from ..checks.exercise import exercise
+from ..checks.inputs import random_covariance
+
+
+def sensors(rng):
+    yield "10 Hz", (0.5, 0.05, 0.1)
+    for _ in range(4):
+        yield "random", tuple(rng.uniform([0.1, 0.2, 0.05], [1.0, 1.0, 0.5]))
+
+
+def _W(variance_v, variance_omega):
+    return np.diag([variance_v] * 3 + [variance_omega] * 3)
+
+
+@exercise(chapter=6, cases=sensors, shows=[Noise.process_covariance, vars(Noise)["twist_covariance"].fget], hints=[
+    "An error of the velocity that lasts tau seconds moves the pose by tau times itself. What does its variance do?",
+    "tau^2 times diag(sigma_v^2 three times, sigma_omega^2 three times)."])
+def process_noise(sigma_v, sigma_omega, tau):
+    """W of one prediction step, from the noise of one IMU sample that drives the pose for tau seconds.
+
+    sigma_v : m/s and sigma_omega : rad/s, standard deviation on each axis. tau : s.
+    Returns (6, 6), order [position m^2, rotation rad^2], diagonal.
+    """
+    return Noise(sigma_v, sigma_omega).process_covariance(tau)
+
+
+@process_noise.mistake("not scaled by tau", """This is the covariance of the twist. The pose drifts by tau times the
+error of the twist, so W carries tau^2. The report's W does not scale at all.""")
+def _(sigma_v, sigma_omega, tau):
+    return _W(sigma_v**2, sigma_omega**2)
+
+
+@process_noise.mistake("tau instead of tau squared", """tau times a white sample has tau^2 times its variance. (A factor
+tau belongs to continuous noise given as a density, in m/s per root of Hz.)""")
+def _(sigma_v, sigma_omega, tau):
+    return tau * _W(sigma_v**2, sigma_omega**2)
+
+
+@process_noise.mistake("sigmas not squared", "A covariance holds variances: sigma squared.")
+def _(sigma_v, sigma_omega, tau):
+    return tau**2 * _W(sigma_v, sigma_omega)
+
+
+@process_noise.mistake("order [omega, v]", "The twist is [v, omega]: the velocity's three entries come first.")
+def _(sigma_v, sigma_omega, tau):
+    return tau**2 * _W(sigma_omega**2, sigma_v**2)
+
+
+@process_noise.mistake("degrees", "sigma_omega is in rad/s already.")
+def _(sigma_v, sigma_omega, tau):
+    return tau**2 * _W(sigma_v**2, np.radians(sigma_omega)**2)
+
+
+def errors(rng):
+    yield "one number", (np.array([[2.0]]), np.array([[[4.0]]]))
+    for _ in range(4):
+        yield "random", (rng.normal(size=(5, 6)), np.array([random_covariance(rng, 6, 0.7) for _ in range(5)]))
+
+
+@exercise(chapter=6, cases=errors, shows=[metrics.nees], hints=[
+    "Squared error in units of the claimed standard deviation, correlations included: e^T P^-1 e, one number a row.",
+    "np.sum(e * np.linalg.solve(P, e[..., None])[..., 0], axis=-1)"])
+def nees(errors, covariances):
+    """Normalised estimation error squared of each row: e^T P^-1 e.
+
+    errors : (T, n), true minus estimated. covariances : (T, n, n), as the filter claims. Returns (T,).
+    """
+    return metrics.nees(errors, covariances)
+
+
+@nees.mistake("correlations ignored", """Dividing each squared error by its own variance forgets the off-diagonal
+entries: use the whole inverse, e^T P^-1 e.""")
+def _(errors, covariances):
+    return np.sum(errors**2 / np.diagonal(covariances, axis1=1, axis2=2), axis=-1)
+
+
+@nees.mistake("covariance not inverted", "e^T P e grows with the claimed uncertainty; the NEES shrinks with it: P^-1.")
+def _(errors, covariances):
+    return np.einsum("ti,tij,tj->t", errors, covariances, errors)
+
+
+@nees.mistake("square root taken", "This is the Mahalanobis distance; the NEES is its square.")
+def _(errors, covariances):
+    return np.sqrt(metrics.nees(errors, covariances))
+
+
+@nees.mistake("divided by the degrees of freedom", """The NEES itself has mean n. Dividing by n is a way to plot it, but
+it then no longer follows the chi-square table.""")
+def _(errors, covariances):
+    return metrics.nees(errors, covariances) / errors.shape[1]
+
+
+@nees.mistake("variance taken for standard deviation", """P holds variances: whiten with its Cholesky factor (or solve
+with P once), do not divide by P twice.""")
+def _(errors, covariances):
+    return np.sum(np.linalg.solve(covariances, errors[..., None])[..., 0]**2, axis=-1)
+
+
+def bands(rng):
+    import scipy.stats  # noqa: F401 - for the plain answer; here, because other chapters need not wait half a second
+
+    yield "one run", (6, 1, 0.95)
+    yield "random", (6, 50, 0.95)
+    yield "rotation only", (3, 20, 0.99)
+    yield "NIS", (4, 100, 0.9)
+
+
+@exercise(chapter=6, cases=bands, shows=[metrics.chi2_band], outputs=("low", "high"), hints=[
+    "The sum of N chi-square numbers of d degrees of freedom is chi-square with N d. You want the band of their mean.",
+    "scipy.stats.chi2.ppf([tail, 1 - tail], dof * runs) / runs, with half of what the band leaves out in each tail."])
+def chi2_band(dof, runs, probability):
+    """Band in which the mean NEES of an honest filter lies, leaving equal tails.
+
+    dof : degrees of freedom of one NEES. runs : how many independent runs are averaged. probability : of the band,
+    0.95 say. Returns low and high. You may use `scipy.stats.chi2`.
+    """
+    return metrics.chi2_band(dof, runs, probability)
+
+
+@chi2_band.mistake("runs ignored", """A mean over runs scatters less than one run: N dof degrees of freedom, divided by
+N.""")
+def _(dof, runs, probability):
+    return metrics.chi2_band(dof, 1, probability)
+
+
+@chi2_band.mistake("not divided by runs", "This is the band of the sum over runs; the mean is the sum divided by runs.")
+def _(dof, runs, probability):
+    low, high = metrics.chi2_band(dof, runs, probability)
+    return low * runs, high * runs
+
+
+@chi2_band.mistake("tails not halved", "A band of 95 % leaves 2.5 % on each side; this one leaves 5 % on each side.")
+def _(dof, runs, probability):
+    return metrics.chi2_band(dof, runs, 2 * probability - 1)
+
+
+@chi2_band.mistake("one-sided", """A mean NEES that is too low is wrong as well (the filter wastes what it measured):
+leave half of the tail below.""")
+def _(dof, runs, probability):
+    return 0.0, kalman.chi_square_quantile(probability, dof * runs) / runs
+
+
+@chi2_band.mistake("normal approximation", """dof +- z sqrt(2 dof / N) is what the band tends to for many runs; for few
+it is lopsided. Use the chi-square quantiles.""")
+def _(dof, runs, probability):
+    half = ndtri((1 + probability) / 2) * np.sqrt(2 * dof / runs)
+    return dof - half, dof + half

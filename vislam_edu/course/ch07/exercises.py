@@ -1,0 +1,192 @@
+"""Exercises of notebook 07: the right-invariant error, which does not learn what nothing can tell."""
+
+import numpy as np
+from scipy.linalg import block_diag
+
+from ... import se3
+from ...error_state import RightInvariant, RightPerturbation
+from ..checks.exercise import exercise
+from ..checks.inputs import random_camera, random_landmarks, random_pose
+
+_INVARIANT = RightInvariant()
+
+
+def steps(rng):
+    yield "no landmark", (random_pose(rng), np.empty((0, 3)), 0.1 * np.eye(6))
+    for n in (1, 2, 4):
+        T = random_pose(rng)
+        twist = rng.normal(size=6)
+        tau = rng.uniform(0.05, 0.3)
+        yield "random", (T, random_landmarks(rng, T, n), tau * se3.right_jacobian(tau * twist))
+
+
+def _stacked(landmark_rows, B):
+    return np.concatenate([landmark_rows.reshape(-1, 6), B])
+
+
+@exercise(chapter=7, cases=steps, shows=[RightInvariant.pose_transition, RightInvariant.landmark_transition], hints=[
+    "The Adjoint of the pose takes the body's noise into the world. Its rotation part also turns the landmark errors.",
+    "B = se3.adjoint(world_T_imu) @ body_noise for the pose; m^ B_R for a landmark m, B_R the last three rows of B."])
+def invariant_noise(world_T_imu, landmarks, body_noise):
+    """How an error of the twist enters the right-invariant error, [landmarks, position, rotation], over one step.
+
+    The transition itself is F = I. world_T_imu : (4, 4), the pose after the step. landmarks : (n, 3), m, world.
+    body_noise : (6, 6), tau J_r(tau u), twist error to pose error in the body frame. Returns N (3n+6, 6), so that
+    P' = P + N Q N^T. You may use `se3`.
+    """
+    B = _INVARIANT.pose_transition(world_T_imu, np.eye(4), body_noise)[1]
+    return _stacked(_INVARIANT.landmark_transition(landmarks, B), B)
+
+
+@invariant_noise.mistake("landmarks left out", """The landmarks stand still, but their error is expressed relative to a
+world that turns with the pose's error: m^ B_R. Without it the filter is inconsistent again.""")
+def _(world_T_imu, landmarks, body_noise):
+    return _stacked(np.zeros((len(landmarks), 3, 6)), se3.adjoint(world_T_imu) @ body_noise)
+
+
+@invariant_noise.mistake("world and body mixed", """The IMU's noise is expressed in the body frame, the invariant error
+in the world: the Adjoint of the pose stands between them.""")
+def _(world_T_imu, landmarks, body_noise):
+    return _stacked(se3.so3_hat(landmarks) @ body_noise[3:], body_noise)
+
+
+@invariant_noise.mistake("sign of m^", """A turn x of the world moves a landmark by x^ m = -m^ x, which its error has to
+make good: +m^ B_R.""")
+def _(world_T_imu, landmarks, body_noise):
+    B = se3.adjoint(world_T_imu) @ body_noise
+    return _stacked(-se3.so3_hat(landmarks) @ B[3:], B)
+
+
+@invariant_noise.mistake("p^ R of the Adjoint forgotten", """The error turns about the world's origin, not about the
+car: the Adjoint has the block p^ R, not only R and R.""")
+def _(world_T_imu, landmarks, body_noise):
+    R = world_T_imu[:3, :3]
+    B = block_diag(R, R) @ body_noise
+    return _stacked(se3.so3_hat(landmarks) @ B[3:], B)
+
+
+@invariant_noise.mistake("Adjoint of the inverse", """From the body into the world goes Ad(world_T_imu), not that of its
+inverse.""")
+def _(world_T_imu, landmarks, body_noise):
+    B = se3.adjoint(se3.inverse(world_T_imu)) @ body_noise
+    return _stacked(se3.so3_hat(landmarks) @ B[3:], B)
+
+
+def measurements(rng):
+    for n in (1, 3, 3):
+        T, camera = random_pose(rng), random_camera(rng)
+        landmarks = random_landmarks(rng, T, n, camera)
+        yield "random", (camera.measurement_jacobian(camera.to_cam(T, landmarks)), T)
+
+
+@exercise(chapter=7, cases=measurements, shows=[RightInvariant.jacobians], outputs=("H_landmark", "H_pose"), hints=[
+    "The cameras see R^T (m - p). Turn landmark and position by the same x_R: what changes in R^T (m - p)?",
+    "Nothing: the rotation drops out. H_landmark = J R^T and H_pose = [-J R^T, 0]."])
+def invariant_jacobian(J, world_T_imu):
+    """Jacobians of n stereo measurements by the right-invariant error of their landmark and of the pose.
+
+    J : (n, 4, 3), px/m, derivative of the pixels by the point in the IMU frame. world_T_imu : (4, 4).
+    Returns H_landmark (n, 4, 3) and H_pose (n, 4, 6), columns [position, rotation].
+    """
+    return _INVARIANT.jacobians(world_T_imu, np.zeros((len(J), 3)), J)
+
+
+@invariant_jacobian.mistake("rotation kept", """Columns for the rotation other than zero tell the filter that one look
+at one landmark says something about the heading of the whole world. Nothing measures that.""")
+def _(J, world_T_imu):
+    H = J @ world_T_imu[:3, :3].T
+    return H, np.concatenate([-H, H @ se3.so3_hat(world_T_imu[:3, 3])], axis=-1)
+
+
+@invariant_jacobian.mistake("expressed in the body frame", """-J alone is the right perturbation's block, expressed in
+the body frame. Here the position error is expressed in the world: -J R^T.""")
+def _(J, world_T_imu):
+    return J @ world_T_imu[:3, :3].T, np.concatenate([-J, np.zeros_like(J)], axis=-1)
+
+
+@invariant_jacobian.mistake("sign of the position", """Landmark and position enter as m - p: the position's block is
+minus the landmark's.""")
+def _(J, world_T_imu):
+    H = J @ world_T_imu[:3, :3].T
+    return H, np.concatenate([H, np.zeros_like(H)], axis=-1)
+
+
+@invariant_jacobian.mistake("R in place of its transpose", "The point in the IMU frame is R^T (m - p): the transpose.")
+def _(J, world_T_imu):
+    H = J @ world_T_imu[:3, :3]
+    return H, np.concatenate([-H, np.zeros_like(H)], axis=-1)
+
+
+@invariant_jacobian.mistake("rotation and translation swapped", """The columns are [position, rotation]: zero stands on
+the right.""")
+def _(J, world_T_imu):
+    H = J @ world_T_imu[:3, :3].T
+    return H, np.concatenate([np.zeros_like(H), -H], axis=-1)
+
+
+def corrections(rng):
+    for label, angle in [("no rotation", 0.0), ("small rotation", 0.01)] + 4 * [("random", 0.5)]:
+        T, n = random_pose(rng), 3
+        delta = rng.normal(size=3 * n + 6)
+        delta[-3:] *= angle
+        yield label, (T, random_landmarks(rng, T, n), delta)
+
+
+def _turned(world_T_imu, landmarks, delta, J, turn_landmarks=True, turn_position=True):
+    """The state corrected with the matrix J on every translation."""
+    n = landmarks.size
+    turn = se3.so3_exp(delta[n + 3:])
+    p, m = world_T_imu[:3, 3], landmarks
+    p = (turn @ p if turn_position else p) + J @ delta[n:n + 3]
+    m = (m @ turn.T if turn_landmarks else m) + delta[:n].reshape(-1, 3) @ J.T
+    return se3.pose(turn @ world_T_imu[:3, :3], p), m
+
+
+@exercise(chapter=7, cases=corrections, shows=[RightInvariant.retract], outputs=("world_T_imu", "landmarks"), hints=[
+    "One rotation exp(x_R) turns everything about the world's origin; then each point is shifted by J_l(x_R) x.",
+    "R = exp(x_R) R, p = exp(x_R) p + J_l(x_R) x_p, m = exp(x_R) m + J_l(x_R) x_m; J_l is se3.so3_left_jacobian."])
+def invariant_retract(world_T_imu, landmarks, delta):
+    """The state corrected by a right-invariant error: the exponential of SE_{1+n}(3).
+
+    world_T_imu : (4, 4). landmarks : (n, 3), m, world. delta : (3n+6,), [landmarks, position, rotation].
+    Returns world_T_imu (4, 4) and landmarks (n, 3). You may use `se3`.
+    """
+    return _INVARIANT.retract(world_T_imu, landmarks, delta)
+
+
+@invariant_retract.mistake("left Jacobian forgotten", """Every translation is multiplied by J_l(x_R). Leaving it out
+looks harmless and cost a factor of six in NEES.""")
+def _(world_T_imu, landmarks, delta):
+    return _turned(world_T_imu, landmarks, delta, np.eye(3))
+
+
+@invariant_retract.mistake("right Jacobian", """The translations are multiplied by the left Jacobian, J_l(x_R), not by
+the right one.""")
+def _(world_T_imu, landmarks, delta):
+    return _turned(world_T_imu, landmarks, delta, se3.so3_right_jacobian(delta[-3:]))
+
+
+@invariant_retract.mistake("landmarks not turned", """x_R turns the whole world, landmarks included: exp(x_R) m, then
+the shift.""")
+def _(world_T_imu, landmarks, delta):
+    return _turned(world_T_imu, landmarks, delta, se3.so3_left_jacobian(delta[-3:]), turn_landmarks=False)
+
+
+@invariant_retract.mistake("position not turned", """x_R turns the car's position about the world's origin too: exp(x_R)
+p.""")
+def _(world_T_imu, landmarks, delta):
+    return _turned(world_T_imu, landmarks, delta, se3.so3_left_jacobian(delta[-3:]), turn_position=False)
+
+
+@invariant_retract.mistake("world and body mixed", """This is the right perturbation's T exp(delta^) and m + delta. The
+right-invariant error stands to the left of the state: exp(x^) T.""")
+def _(world_T_imu, landmarks, delta):
+    return RightPerturbation().retract(world_T_imu, landmarks, delta)
+
+
+@invariant_retract.mistake("interleaved and grouped orders mixed", """delta is x0 y0 z0 x1 y1 z1 ...: reshape(n, 3), not
+reshape(3, n).T.""")
+def _(world_T_imu, landmarks, delta):
+    n = landmarks.size
+    mixed = np.concatenate([delta[:n].reshape(3, -1).T.ravel(), delta[n:]])
+    return _INVARIANT.retract(world_T_imu, landmarks, mixed)

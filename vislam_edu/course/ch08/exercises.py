@@ -1,0 +1,53 @@
+"""Exercise of notebook 08: read from an audit which axes of the IMU are turned round."""
+
+import numpy as np
+
+from ..checks.exercise import exercise
+
+
+def _rates(rng):
+    for n in (60, 80, 120):
+        seen = rng.normal(size=(n, 3)) * rng.uniform(0.1, 2.0, size=3) + rng.normal(size=3)
+        signs = rng.choice([-1.0, 1.0], size=3)
+        gyro = signs * seen + 0.2 * seen.std(axis=0) * rng.normal(size=(n, 3)) + rng.normal(size=3)
+        yield "random", (gyro, seen)
+    gyro = np.column_stack([seen[:, 0], rng.normal(size=(n, 2))])
+    yield "two axes unrelated", (gyro, seen)
+
+
+def _signs(correlation, least=0.5):
+    return np.where(np.abs(correlation) > least, np.sign(correlation), 0.0)
+
+
+def _correlation(gyro, seen):
+    return np.array([np.corrcoef(gyro[:, i], seen[:, i])[0, 1] for i in range(3)])
+
+
+@exercise(chapter=8, cases=_rates, shows=[np.corrcoef], hints=[
+    "A constant bias must not matter: correlate the two after subtracting the mean of each. Axis by axis.",
+    "r = np.corrcoef(gyro[:, i], seen[:, i])[0, 1]; np.sign(r) where abs(r) > 0.5, else 0."])
+def axis_signs(gyro, seen):
+    """Which axes of a gyro are turned round, judged by what the cameras see.
+
+    gyro : (n, 3), rad/s, measured. seen : (n, 3), rad/s, the rates that the cameras see, in the IMU frame, at the same
+    times. Returns (3,): for each axis 1 where the correlation of the two is above 0.5, -1 where it is below -0.5 (the
+    cure is to turn the axis round), and 0 where it is neither (nothing can be said). Both may have a constant offset.
+    """
+    return _signs(_correlation(gyro, seen))
+
+
+@axis_signs.mistake("mean not subtracted", """A correlation is taken after the mean of each signal is subtracted;
+without it the bias of the gyro decides the sign.""")
+def _(gyro, seen):
+    size = np.sqrt(np.sum(gyro**2, axis=0) * np.sum(seen**2, axis=0))
+    return _signs(np.sum(gyro * seen, axis=0) / size)
+
+
+@axis_signs.mistake("no threshold", "Where the correlation is small, chance decides its sign: return 0 there.")
+def _(gyro, seen):
+    return np.sign(_correlation(gyro, seen))
+
+
+@axis_signs.mistake("turned round", "1 says that an axis agrees with the cameras, -1 that it has to be turned round.")
+def _(gyro, seen):
+    return -_signs(_correlation(gyro, seen))

@@ -1,0 +1,285 @@
+"""The mistake museum at the wheel: the joint filter with one mistake each, over one drive, from one start.
+
+`PIECES` holds them in the order of notebook 10; each replaces one piece of the right filter and nothing else.
+Every mistake was found in a published solution of this very project. Nothing here is right: do not build on it.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.linalg import block_diag
+
+from ... import metrics, motion, se3, window_slam
+from ...error_state import RightPerturbation
+from ...plots import style
+from ...stereo import StereoCamera
+
+# --- the camera ---------------------------------------------------------------------------------------------
+
+
+class NotDividedByDepth(StereoCamera):
+    """dpi/dq without its factor 1 / q_3."""
+
+    def projection_jacobian(self, points_cam):
+        return points_cam[..., 2, None, None] * super().projection_jacobian(points_cam)
+
+
+class PixelsAsBearings(StereoCamera):
+    """Depth times [u, v, 1], where depth times K^-1 [u, v, 1] belongs."""
+
+    def triangulate(self, pixels, min_disparity=0.0):
+        points, ok = super().triangulate(pixels, min_disparity)
+        return points[:, 2:] * np.column_stack([pixels[:, :2], np.ones(len(pixels))]), ok
+
+
+# --- the error state ----------------------------------------------------------------------------------------
+
+
+class SignFlipped(RightPerturbation):
+    """+J [I, -s^] for the pose: the inverse in T^-1 m forgotten."""
+
+    def jacobians(self, world_T_imu, landmarks, J):
+        H_landmark, H_pose = super().jacobians(world_T_imu, landmarks, J)
+        return H_landmark, -H_pose
+
+
+class WithoutExtrinsics(RightPerturbation):
+    """The pose Jacobian -K_s dpi/dq odot(s): what the IMU frame says, written as if in the camera frame."""
+
+    def __init__(self, camera):
+        self.imu_R_cam = camera.imu_T_cam[:3, :3]
+
+    def jacobians(self, world_T_imu, landmarks, J):
+        H_landmark, _ = super().jacobians(world_T_imu, landmarks, J)
+        return H_landmark, super().jacobians(world_T_imu, landmarks, J @ self.imu_R_cam)[1]
+
+
+class WorldCorrection(RightPerturbation):
+    """exp(epsilon^) T: a correction expressed in the body frame, applied in the world frame."""
+
+    def retract(self, world_T_imu, landmarks, delta):
+        _, moved = super().retract(world_T_imu, landmarks, delta)
+        return se3.exp(delta[3 * len(landmarks):]) @ world_T_imu, moved
+
+
+class LandmarksOnACopy(RightPerturbation):
+    """landmarks[seen][:] += ...: the correction lands in a temporary array."""
+
+    def retract(self, world_T_imu, landmarks, delta):
+        return super().retract(world_T_imu, landmarks, delta)[0], landmarks
+
+
+class GroupedOrder(RightPerturbation):
+    """delta read as all x, all y, all z, where it is x, y, z of one landmark after the other."""
+
+    def retract(self, world_T_imu, landmarks, delta):
+        n = len(landmarks)
+        return super().retract(world_T_imu, landmarks, delta)[0], landmarks + delta[:3 * n].reshape(3, n).T
+
+
+# --- the motion model ---------------------------------------------------------------------------------------
+
+
+class CrossNotPropagated(motion.ImuDriven):
+    """Sigma_LR left as it was while the pose block moved on."""
+
+    def predict(self, belief, k):
+        after, n = super().predict(belief, k), belief.pose.start
+        P = after.covariance.copy()
+        P[:n, n:], P[n:, :n] = belief.covariance[:n, n:], belief.covariance[n:, :n]
+        return replace(after, covariance=P)
+
+
+class NoiseWithoutTau(motion.ImuDriven):
+    """W = diag(sigma^2): the twist's variance taken for that of one step."""
+
+    def __init__(self, drive, noise, error_state):
+        super().__init__(drive, noise, error_state)
+        self.body_noise = self.body_noise / drive.taus[:, None, None]
+
+
+class SwappedTwist(motion.ImuDriven):
+    """[v, omega] handed to an exponential that was written for [omega, v]."""
+
+    def __init__(self, drive, noise, error_state):
+        super().__init__(drive.replace(twists=np.roll(drive.twists, 3, axis=1)), noise, error_state)
+
+
+class Degrees(motion.ImuDriven):
+    """np.radians of a gyro that speaks in radians already."""
+
+    def __init__(self, drive, noise, error_state):
+        turned = np.concatenate([drive.twists[:, :3], np.radians(drive.twists[:, 3:])], axis=1)
+        super().__init__(drive.replace(twists=turned), noise, error_state)
+
+
+# --- new landmarks ------------------------------------------------------------------------------------------
+
+
+def born_uncorrelated(prior, ids, pixels, settings):
+    """A frame whose new landmarks are as uncertain as their triangulation, and correlated with nothing."""
+    known = window_slam.contains(prior.ids, ids)
+    updated, innovation = window_slam.update(prior, ids[known], pixels[known], settings)
+    posterior = window_slam.add_correlated(updated, ids[~known], pixels[~known], settings)
+    new = ~window_slam.contains(updated.ids, posterior.ids)
+    # Old variables are group 0, each new landmark is one of its own; what ties different groups together is cut.
+    group = np.append(np.repeat(np.where(new, 1 + np.arange(len(new)), 0), 3), np.zeros(6))
+    P = np.where(group[:, None] == group, posterior.covariance, 0.0)
+    return prior, replace(posterior, covariance=P), innovation
+
+
+def used_twice(prior, ids, pixels, settings):
+    """A frame that measures its new landmarks a second time, with the pixels they were triangulated from."""
+    new = ~window_slam.contains(prior.ids, ids)
+    _, posterior, innovation = window_slam.correlated(prior, ids, pixels, settings)
+    again = new & window_slam.contains(posterior.ids, ids)
+    return prior, window_slam.update(posterior, ids[again], pixels[again], settings)[0], innovation
+
+
+# --- the covariance after a frame ---------------------------------------------------------------------------
+
+
+def without_cross_covariance(prior, ids, pixels, settings):
+    """A frame after which landmarks and pose are assumed independent: what many first versions do."""
+    prior, posterior, innovation = window_slam.correlated(prior, ids, pixels, settings)
+    blocks = [*posterior.landmark_covariance, posterior.covariance[posterior.pose.start:, posterior.pose.start:]]
+    return prior, replace(posterior, covariance=block_diag(*blocks)), innovation
+
+
+# --- the exhibition -----------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Piece:
+    """A mistake: its title, what `window_slam.run` is given in its place, and the exercise whose check catches it.
+
+    applied_to : drive -> (drive, keyword arguments of `window_slam.run`). exercise, mistake : names in `exercises`;
+    empty for the right filter.
+    """
+
+    title: str
+    applied_to: Callable
+    exercise: str = ""
+    mistake: str = ""
+
+
+def _camera(kind):
+    def applied_to(drive):
+        camera = kind(drive.camera.K, drive.camera.baseline, drive.camera.cam_T_imu)
+        return drive.replace(camera=camera), {}
+    return applied_to
+
+
+def _with(**arguments):
+    return lambda drive: (drive, arguments)
+
+
+PIECES = {
+    "right": Piece("the right filter", _with()),
+    "depth": Piece("1/q3 forgotten", _camera(NotDividedByDepth),
+                   "projection_jacobian", "1/q3 forgotten"),
+    "bearings": Piece("pixels used as bearings", _camera(PixelsAsBearings),
+                      "triangulate", "pixels used as bearings"),
+    "extrinsics": Piece("extrinsics forgotten",
+                        lambda drive: (drive, {"error_state": WithoutExtrinsics(drive.camera)}),
+                        "pose_jacobian", "extrinsics forgotten"),
+    "sign": Piece("pose sign flipped", _with(error_state=SignFlipped()),
+                  "pose_jacobian", "sign flipped"),
+    "world": Piece("world and body mixed", _with(error_state=WorldCorrection()),
+                   "joint_update", "world and body mixed"),
+    "copy": Piece("a copy updated", _with(error_state=LandmarksOnACopy()),
+                  "joint_update", "chained indexing updates a copy"),
+    "order": Piece("orders mixed", _with(error_state=GroupedOrder()),
+                   "joint_update", "interleaved and grouped orders mixed"),
+    "never": Piece("cross terms never written", _with(process_frame=without_cross_covariance),
+                   "joint_update", "cross-covariances cut"),
+    "cross": Piece("cross terms left behind", _with(motion_model=CrossNotPropagated),
+                   "predict_joint", "cross-covariances not propagated"),
+    "birth": Piece("born uncorrelated", _with(process_frame=born_uncorrelated),
+                   "new_landmark", "no correlation with the pose"),
+    "twice": Piece("born, then used again", _with(process_frame=used_twice),
+                   "new_landmark", "first measurement used twice"),
+    "tau": Piece("W not scaled by tau", _with(motion_model=NoiseWithoutTau), "process_noise", "not scaled by tau"),
+    "swapped": Piece("twist order swapped", _with(motion_model=SwappedTwist),
+                     "se3_exp", "rotation and translation swapped"),
+    "degrees": Piece("degrees", _with(motion_model=Degrees), "se3_exp", "degrees"),
+}
+
+LOST = 10.0  # m; who was ever as far from the truth as that, in a drive of a minute at most, is lost
+_NIS, _NEES = 100, 1000  # above, a number tells nothing more: it depends on the machine's rounding
+
+
+@dataclass(frozen=True, eq=False)
+class Visit:
+    """What a piece did on the drive, frame by frame, as far as it came.
+
+    title : of the piece. world_T_imu : (T, 4, 4). error : (T,) m, distance from the truth. nis : (T,), mean over
+    the measurements of a frame, 4 if the filter is honest, NaN where it predicted none. nees : (T,) of the pose, 6
+    if the filter is honest, infinite where its covariance is not positive definite. used : share of the measurements
+    that passed the gate. stopped : the frame at which it could not go on, or None.
+    """
+
+    title: str
+    world_T_imu: np.ndarray
+    error: np.ndarray
+    nis: np.ndarray
+    nees: np.ndarray
+    used: float
+    stopped: int | None
+
+    @property
+    def lost(self) -> bool:
+        """Whether it stopped or was ever `LOST` metres from the truth."""
+        return self.stopped is not None or self.error.max() > LOST
+
+    @property
+    def rmse(self) -> float:
+        """m, of the position."""
+        return float(np.sqrt(np.mean(self.error**2)))
+
+    @property
+    def numbers(self) -> tuple[str, str, str]:
+        """RMSE of the position, mean NIS and mean NEES, to the digits that do not depend on the machine."""
+        rmse = "diverged" if self.lost else f"{self.rmse:.2f} m"
+        return rmse, _capped(np.nanmean(self.nis), _NIS), _capped(np.mean(self.nees), _NEES)
+
+
+def _capped(value, most) -> str:
+    return style.two_digits(value) if value <= most else f"> {most}"
+
+
+def visit(piece, drive, noise, world_T_imu, gate=1) -> Visit:
+    """Drive a piece. drive : Drive with truth. noise : Noise. world_T_imu : (4, 4), where it believes to start.
+
+    There is no gate by default: it would hide a mistake by keeping out the measurements that contradict it.
+    A filter that ends in NaN, or with a covariance that is not positive definite, is stopped there; the visit holds
+    what was before.
+    """
+    drive, arguments = piece.applied_to(drive)
+    steps, stopped = [], None
+    with np.errstate(all="ignore"):
+        try:
+            for step in window_slam.run(drive, noise, gate=gate, world_T_imu=world_T_imu, **arguments):
+                if not np.isfinite(step.posterior.world_T_imu).all():
+                    raise np.linalg.LinAlgError("the pose is not a number")
+                steps.append(step)
+        except np.linalg.LinAlgError:
+            stopped = len(steps)
+        beliefs = [step.posterior for step in steps]
+        poses = np.array([belief.world_T_imu for belief in beliefs])
+        truth = drive.true_world_T_imu[:len(poses)]
+        nis = [step.innovation.nis[np.isfinite(step.innovation.nis)] for step in steps]
+        accepted = np.concatenate([step.innovation.accepted for step in steps])
+        return Visit(piece.title, poses, metrics.position_errors(truth, poses),
+                     np.array([values.mean() if values.size else np.nan for values in nis]),
+                     np.array([_nees(true, belief) for true, belief in zip(truth, beliefs)]),
+                     float(accepted.mean()) if accepted.size else np.nan, stopped)
+
+
+def _nees(true_world_T_imu, belief) -> float:
+    error = RightPerturbation().pose_difference(true_world_T_imu, belief.world_T_imu)
+    try:
+        return float(metrics.nees(error, belief.pose_covariance))
+    except np.linalg.LinAlgError:
+        return np.inf

@@ -1,0 +1,205 @@
+"""Exercises of notebook 12: which landmarks are one place, and what it means for all the others."""
+
+import numpy as np
+
+from ... import association, kalman
+from ..checks.exercise import exercise
+from ..checks.inputs import random_covariance
+
+
+def maps(rng):
+    for n, i, j in ((2, 0, 1), (4, 3, 1), (5, 0, 4)):
+        yield "random", (rng.normal(size=(n, 3)), random_covariance(rng, 3 * n), i, j)
+
+
+def _block(covariance, i, j):
+    return covariance[3 * i:3 * i + 3, 3 * j:3 * j + 3]
+
+
+@exercise(chapter=12, cases=maps, shows=[association.Candidates.joint], outputs=["difference", "S"], hints=[
+    "The difference of two correlated vectors: write it as [I, -I] times both.",
+    "S = P_ii + P_jj - P_ij - P_ji."])
+def pair_covariance(landmarks, covariance, i, j):
+    """How far apart two landmarks of the map are, and the covariance of that.
+
+    landmarks : (n, 3), m, world. covariance : (3n, 3n), m^2, of all of them. i, j : two of them.
+    Returns m_i - m_j (3,) and its covariance S_ij (3, 3).
+    """
+    P = covariance
+    return (landmarks[i] - landmarks[j],
+            _block(P, i, i) + _block(P, j, j) - _block(P, i, j) - _block(P, j, i))
+
+
+@pair_covariance.mistake("cross terms dropped", """P_ii + P_jj is right only for independent errors. Both landmarks were
+seen from one drifting car: what they share cancels in the difference.""")
+def _(landmarks, covariance, i, j):
+    return landmarks[i] - landmarks[j], _block(covariance, i, i) + _block(covariance, j, j)
+
+
+@pair_covariance.mistake("plus for minus", """That is the covariance of the sum. In a difference what both share
+cancels: minus P_ij and minus P_ji.""")
+def _(landmarks, covariance, i, j):
+    P = covariance
+    return landmarks[i] - landmarks[j], _block(P, i, i) + _block(P, j, j) + _block(P, i, j) + _block(P, j, i)
+
+
+@pair_covariance.mistake("one cross term twice", """P_ij and P_ji are transposes of each other, not equal: subtract each
+once, or S is not symmetric.""")
+def _(landmarks, covariance, i, j):
+    P = covariance
+    return landmarks[i] - landmarks[j], _block(P, i, i) + _block(P, j, j) - 2 * _block(P, i, j)
+
+
+def _pairs_of(rng):
+    for n, pairs in ((4, [(0, 2)]), (6, [(0, 3), (2, 4)]), (7, [(6, 0), (5, 1), (4, 2)])):
+        yield "random", (0.3 * rng.normal(size=(n, 3)), random_covariance(rng, 3 * n), pairs)
+
+
+def _stacked(landmarks, covariance, pairs):
+    A = np.zeros((3 * len(pairs), len(covariance)))
+    for k, (i, j) in enumerate(pairs):
+        A[3 * k:3 * k + 3, 3 * i:3 * i + 3], A[3 * k:3 * k + 3, 3 * j:3 * j + 3] = np.eye(3), -np.eye(3)
+    return A @ landmarks.ravel(), A @ covariance @ A.T
+
+
+@exercise(chapter=12, cases=_pairs_of, shows=[association.Candidates.joint, kalman.gate_threshold],
+          outputs=["nis", "threshold"], hints=[
+    "Stack the k differences into one vector; its covariance has 3k rows and is not block diagonal.",
+    "A has the rows [.. I .. -I ..]: d = A m, S = A P A^T, nis = d^T S^-1 d, threshold = "
+    "kalman.gate_threshold(0.99, 3k)."])
+def joint_nis(landmarks, covariance, pairs):
+    """The NIS of k pairs together, and the largest that right pairs have with probability 0.99.
+
+    landmarks : (n, 3), m, world. covariance : (3n, 3n), m^2. pairs : k tuples (i, j), m_i - m_j should be 0.
+    Returns the joint NIS and the threshold. You may use `kalman`.
+    """
+    d, S = _stacked(landmarks, covariance, pairs)
+    return kalman.nis(d, S), kalman.gate_threshold(0.99, len(d))
+
+
+@joint_nis.mistake("sum of the individual NIS", """The pairs share the error of the pose, so their differences are
+correlated. Adding their own NIS drops the off-diagonal blocks of S, and with them the whole joint test.""")
+def _(landmarks, covariance, pairs):
+    single = [_stacked(landmarks, covariance, [pair]) for pair in pairs]
+    return sum(kalman.nis(d, S) for d, S in single), kalman.gate_threshold(0.99, 3 * len(pairs))
+
+
+@joint_nis.mistake("3 degrees of freedom", """k pairs are 3k numbers: the gate has 3k degrees of freedom. With 3 it
+turns away right pairs as soon as there are several.""")
+def _(landmarks, covariance, pairs):
+    d, S = _stacked(landmarks, covariance, pairs)
+    return kalman.nis(d, S), kalman.gate_threshold(0.99, 3)
+
+
+@joint_nis.mistake("k degrees of freedom", "A pair is three numbers, not one: 3k degrees of freedom.")
+def _(landmarks, covariance, pairs):
+    d, S = _stacked(landmarks, covariance, pairs)
+    return kalman.nis(d, S), kalman.gate_threshold(0.99, len(pairs))
+
+
+def _one_pair(rng):
+    for n, new, old in ((2, 1, 0), (4, 3, 1), (5, 2, 0)):
+        landmarks = rng.normal(size=(n, 3))
+        landmarks[new] = landmarks[old] + 0.1 * rng.normal(size=3)
+        yield "random", (landmarks, random_covariance(rng, 3 * n), new, old)
+
+
+def _without(landmarks, covariance, old):
+    rows = np.delete(np.arange(len(covariance)), 3 * old + np.arange(3))
+    return np.delete(landmarks, old, axis=0), covariance[np.ix_(rows, rows)]
+
+
+def _fused(landmarks, covariance, new, old):
+    H = np.zeros((3, len(covariance)))
+    H[:, 3 * new:3 * new + 3], H[:, 3 * old:3 * old + 3] = np.eye(3), -np.eye(3)
+    K = np.linalg.solve(H @ covariance @ H.T, H @ covariance).T
+    delta = K @ (landmarks[old] - landmarks[new])
+    return landmarks + delta.reshape(-1, 3), covariance - K @ H @ covariance
+
+
+@exercise(chapter=12, cases=_one_pair, shows=[association.fuse], outputs=["landmarks", "covariance"], tolerance=1e-7,
+          hints=[
+    "It is a Kalman update with the measurement m_new - m_old = 0, without noise. Then the old row goes.",
+    "H = [.. I .. -I ..], S = H P H^T, K = P H^T S^-1: all landmarks move by K (0 - (m_new - m_old)), P - K H P."])
+def fuse_pair(landmarks, covariance, new, old):
+    """A map after learning that two of its landmarks are one place: the whole map is corrected, the old row leaves.
+
+    landmarks : (n, 3), m, world. covariance : (3n, 3n), m^2. new, old : rows of the two. Returns landmarks (n-1, 3) and
+    covariance (3n-3, 3n-3), the others in their old order.
+    """
+    moved, P = _fused(landmarks, covariance, new, old)
+    return _without(moved, P, old)
+
+
+@fuse_pair.mistake("average of the two", """The mean of the two positions ignores which of them is known better, and
+tells the rest of the map nothing. It is a Kalman update with m_new - m_old = 0.""")
+def _(landmarks, covariance, new, old):
+    moved = landmarks.copy()
+    moved[new] = (landmarks[new] + landmarks[old]) / 2
+    return _without(moved, covariance, old)
+
+
+@fuse_pair.mistake("only the two updated", """The gain has rows for every landmark: through the cross-covariances all of
+them move and gain. That is what closing a loop is for.""")
+def _(landmarks, covariance, new, old):
+    full, P = _fused(landmarks, covariance, new, old)
+    moved, only = landmarks.copy(), covariance.copy()
+    rows = 3 * new + np.arange(3)
+    moved[new], only[np.ix_(rows, rows)] = full[new], P[np.ix_(rows, rows)]
+    return _without(moved, only, old)
+
+
+@fuse_pair.mistake("both rows kept", """After the update the two rows hold the same numbers, so the covariance is
+singular and the next update breaks. The old row has to go.""")
+def _(landmarks, covariance, new, old):
+    return _fused(landmarks, covariance, new, old)
+
+
+@fuse_pair.mistake("old row dropped, nothing learned", """Dropping the old row is marginalising: it forgets what the
+place was known to be. First the update, then the row goes.""")
+def _(landmarks, covariance, new, old):
+    return _without(landmarks, covariance, old)
+
+
+def _chains(rng):
+    yield "no pair", (3, [])
+    yield "a pair", (4, [(3, 1)])
+    yield "a chain", (8, [(4, 1), (7, 4)])
+    yield "a chain, last link first", (8, [(7, 4), (4, 1)])
+    yield "two chains that meet", (10, [(5, 2), (6, 3), (6, 5), (9, 6)])
+    yield "random", (12, [(int(a), int(b)) for b, a in (sorted(rng.choice(12, 2, replace=False)) for _ in range(6))])
+
+
+@exercise(chapter=12, cases=_chains, shows=[association.merged], hints=[
+    "Pairs chain: if 7 is 4 and 4 is 1, then 7 is 1, whichever pair comes first.",
+    "Keep parent[i], at first i. A pair joins the roots of both; the root of i follows parent until it stays."])
+def merge_ids(n, pairs):
+    """For each of n landmarks the smallest id of the same place, when each pair of ids is one place.
+
+    pairs : tuples (new, old) of ids in [0, n). Returns (n,) integers.
+    """
+    return association.merged(n, pairs)
+
+
+@merge_ids.mistake("one way only", """The new id points to the old one, and the old one may itself be another place:
+follow the chain to its end.""")
+def _(n, pairs):
+    place = np.arange(n)
+    for new, old in pairs:
+        place[new] = old
+    return place
+
+
+@merge_ids.mistake("only in the order of the pairs", """The old id's place is looked up when the pair comes, but a later
+pair may merge it further: all that pointed to it must follow.""")
+def _(n, pairs):
+    place = np.arange(n)
+    for new, old in pairs:
+        place[new] = place[old]
+    return place
+
+
+@merge_ids.mistake("largest id", "The place is named by its smallest id, the first that was seen.")
+def _(n, pairs):
+    first = association.merged(n, pairs)
+    return np.array([np.flatnonzero(first == root).max() for root in first])

@@ -1,0 +1,83 @@
+"""Chapter 12: the search for pairs that fit together, one node of its tree after the other."""
+
+import numpy as np
+from matplotlib.collections import LineCollection
+
+from ... import kalman
+from ...association import Candidates, branch_and_bound
+from ...plots.style import COLOURS
+from ...widgets.canvas import Number, Picture
+from ...widgets.panels import add_axes, fit_equal, legend_above
+
+
+class BranchesPicture(Picture):
+    """The tree of joint compatibility as far as the search has come, and the pairs of its last node on the map.
+
+    both : `association.Candidates`. gate : probability of the gates, as in `branch_and_bound`.
+    nodes : list of `association.Node`, in the order of the search.
+    """
+
+    name = "branch and bound"
+    size = (6.4, 3.9)
+
+    def __init__(self, both: Candidates, gate: float = 0.99):
+        self.both, self.gate = both, gate
+        self.nodes = list(branch_and_bound(both, gate))
+        if not self.nodes:
+            raise ValueError("no pair passes its own gate, so there is no tree to search")
+        self.controls = {"node": Number("node", len(self.nodes), 1, len(self.nodes), 1)}
+        self.depth = np.array([len(node.pairs) for node in self.nodes])
+        self.fits = np.array([node.compatible for node in self.nodes])
+        last: dict[tuple, int] = {}  # the node of each set of pairs
+        self.parents = []
+        for k, node in enumerate(self.nodes):
+            self.parents.append(last.get(tuple(node.pairs[:-1]), -1))
+            last[tuple(node.pairs)] = k
+        super().__init__()
+
+    def build(self):
+        self.tree = add_axes(self, (0.08, 0.14, 0.45, 0.68), "Sets of pairs, in the order of the search",
+                             "node", "pairs", xlim=(0, len(self.nodes) + 1), ylim=(self.depth.max() + 0.5, -0.5),
+                             yticks=np.arange(self.depth.max() + 1))
+        edges = LineCollection([], colors=COLOURS["faded"], linewidths=0.9)
+        self.tree.add_collection(edges, autolim=False)
+        (fitting,) = self.tree.plot([], [], "o", ms=5, color=COLOURS["accepted"], label="fits together")
+        (ended,) = self.tree.plot([], [], "x", ms=5, color=COLOURS["rejected"], label="does not")
+        (here,) = self.tree.plot([], [], "o", ms=12, mfc="none", mew=1.5, color=COLOURS["truth"], label="this node")
+        legend_above(self.tree, [fitting, ended, here])
+
+        new, old = self.both.landmarks[:len(self.both.new)], self.both.landmarks[len(self.both.new):]
+        self.map = add_axes(self, (0.65, 0.14, 0.34, 0.68), "Its pairs on the map", "x (m)", "y (m)")
+        fit_equal(self.map, new[:, :2], old[:, :2], margin=3.0)
+        lines = LineCollection([], linewidths=1.8)
+        self.map.add_collection(lines, autolim=False)
+        (olds,) = self.map.plot(*old[:, :2].T, "s", ms=4, color=COLOURS["dead_reckoning"], label="old")
+        (news,) = self.map.plot(*new[:, :2].T, "o", ms=4, color=COLOURS["posterior"], label="new")
+        legend_above(self.map, [news, olds])
+        self.new, self.old = new, old
+        self.edges, self.fitting, self.ended, self.here, self.lines = self.moves(edges, fitting, ended, here, lines)
+
+    def draw(self, node):
+        shown = np.arange(node)
+        place = np.column_stack([shown + 1, self.depth[:node]])
+        root = np.zeros((1, 2))
+        parents = np.concatenate([place, root])[self.parents[:node]]  # the last row is the root
+        self.edges.set_segments(np.stack([parents, place], axis=1))
+        self.fitting.set_data(*place[self.fits[:node]].T)
+        self.ended.set_data(*place[~self.fits[:node]].T)
+        self.here.set_data(*place[-1:].T)
+        pairs = self.nodes[node - 1].pairs
+        self.lines.set_segments([np.stack([self.new[i, :2], self.old[j, :2]]) for i, j in pairs])
+        self.lines.set_color(COLOURS["accepted" if self.fits[node - 1] else "rejected"])
+
+    def caption(self, node):
+        here = self.nodes[node - 1]
+        k = len(here.pairs)
+        verdict = "fits" if here.compatible else "does not fit: the branch ends"
+        pairs = "1 pair" if k == 1 else f"{k} pairs"
+        return (f"Node {node} of {len(self.nodes)}, {pairs}: joint NIS {here.nis:.1f}, threshold "
+                f"{kalman.gate_threshold(self.gate, 3 * k):.1f}, {verdict}. Best so far: {len(here.best)}.")
+
+    def alt(self, node):
+        return ("Left, the tree of sets of pairs in the order of the search; right, the map of new and old landmarks "
+                f"with a line for each pair of this node. {self.caption(node)}")

@@ -1,0 +1,426 @@
+"""The capstone: a student's whole filter, stage by stage, and judged on drives that nobody has seen.
+
+    from vislam_edu.course.exercises import capstone
+
+    capstone.compare("filter_predict", filter_predict)      the first number that is not the package's, framed
+    capstone.score(filter_run, student=1234)                the table of the whole filter
+
+`STAGES` are the exercises of chapter 13. The unseen drives are made from a seed that the student's number gives. A
+filter that never ends, or whose state grows without end, is stopped.
+"""
+
+import hashlib
+import json
+import os
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass
+
+import numpy as np
+
+from ... import ekf_slam, kalman, metrics, odometry, simulate, window_slam
+from ...belief import NO_INNOVATION, Belief, Innovation, Step
+from ...drive import Drive
+from ...error_state import ErrorState, RightPerturbation
+from ...noise import Noise
+from ...plots import drawing, style
+from ..checks.check import VERDICTS
+from ..checks.comparing import number
+from ..checks.exercise import EXERCISES, find
+from ..checks.running import copied, error_message, outcome_of, within
+from ..checks.verdict import NOT_WRITTEN, RIGHT, WRONG, Verdict, judge
+from .exercises import NOISE, filter_run
+
+STAGES = ("filter_predict", "filter_update", "filter_birth", "filter_frame", "filter_run")
+LIMIT = 60.0  # s, for one drive
+MOST_LANDMARKS = 300  # in the state; about 15 to 60 are in view
+ATE_ALLOWED, SIGMA_ALLOWED = 1.2, 1.5  # times those of the agreed filter
+SHARE_ALLOWED = 0.02  # how much less than of the agreed filter's measurements may pass the gate
+
+
+class _TooLarge(Exception):
+    """A state that keeps every landmark it has ever seen."""
+
+
+# --- drives -----------------------------------------------------------------------------------------------
+
+def seed_of(student: int | str, number: int = 0) -> int:
+    """The seed of a student's drive: the same on every machine, and no two students share it."""
+    return int.from_bytes(hashlib.blake2s(f"capstone {student} {number}".encode()).digest()[:4])
+
+
+def unseen(student: int | str, number: int = 0) -> Drive:
+    """A drive with truth that the student's number gives: 100 frames, about 15 landmarks in view."""
+    drive = simulate.street_loop(seed_of(student, number), frames=100, visible=15, life=(9, 100))
+    return drive.replace(name=f"unseen {number + 1}")
+
+
+def drives(student: int | str) -> list[Drive]:
+    """What a filter is judged on: `first_steps`, a part of `street_loop` (every fourth landmark), two unseen."""
+    street = simulate.street_loop_data().slice(0, 100).subsample(4).replace(name="street_loop")
+    return [simulate.first_steps().replace(name="first_steps"), street, unseen(student, 0), unseen(student, 1)]
+
+
+# --- running a filter --------------------------------------------------------------------------------------
+
+@dataclass(frozen=True, eq=False)
+class Followed:
+    """What a filter did on a drive, as far as it came. problem : why it stopped, "" if it did not."""
+
+    world_T_imu: np.ndarray
+    covariance: np.ndarray
+    in_gate: float
+    seconds: float
+    problem: str = ""
+
+
+def belief(state) -> Belief:
+    """A state of `filter_run` as the package's belief, which the explorer draws."""
+    T, landmarks, ids, P = state
+    return Belief(np.array(T, float), np.array(landmarks, float).reshape(-1, 3), np.array(ids, int),
+                  np.array(P, float))
+
+
+def steps(run: Callable, drive: Drive, noise: Noise = NOISE) -> Iterator[Step]:
+    """A student's filter as `Step`s: `Explorer(capstone.steps(filter_run, drive), drive)`.
+
+    run : as `filter_run`. What a frame expected is computed from the state before it, with the package's prediction.
+    """
+    before = Belief(np.eye(4), np.empty((0, 3)), np.empty(0, int), noise.initial_pose_covariance)
+    for k, state in enumerate(run(drive, noise)):
+        ids, pixels = drive.observed(k)
+        if k:
+            before = ekf_slam.predict(before, drive.step_twists[k - 1], drive.taus[k - 1], noise)
+        prior = before
+        known = np.isin(ids, prior.ids)
+        after = belief(state)
+        born, retired = np.setdiff1d(after.ids, before.ids), np.setdiff1d(before.ids, after.ids)
+        yield Step(k, drive.times[k], prior, after, _expected(prior, ids[known], pixels[known], drive, noise), born,
+                   retired)
+        before = after
+
+
+def _expected(prior, ids, pixels, drive, noise) -> Innovation:
+    """The measurements of the known landmarks against what the prior expects of each."""
+    if not len(ids):
+        return NO_INNOVATION
+    rows = np.array([np.flatnonzero(prior.ids == i)[0] for i in ids])
+    T, n = prior.world_T_imu, len(prior.ids)
+    seen = prior.landmarks[rows]
+    predicted, in_front = drive.camera.observe(T, seen)
+    H = ekf_slam.joint_jacobian(drive.camera.landmark_jacobian(T, seen), drive.camera.pose_jacobian(T, seen), rows, n)
+    S = kalman.innovation_covariance(prior.covariance, H.reshape(-1, 4, 3 * n + 6), noise.pixel_covariance)
+    nis = np.where(in_front, kalman.nis(pixels - predicted, S), np.inf)
+    return Innovation(ids, pixels, predicted, S, nis, in_front & (nis <= kalman.gate_threshold(0.99)))
+
+
+def follow(run: Callable, drive: Drive, noise: Noise = NOISE, limit: float = LIMIT) -> Followed:
+    """Run a filter over a drive, for at most `limit` seconds and `MOST_LANDMARKS` landmarks. Raises nothing of its own.
+
+    run : as `filter_run`. A stub gives the problem "not written yet".
+    """
+    poses: list = []
+    covariances: list = []
+    accepted: list = []
+    problem = [""]
+    spent = [0.0]
+
+    def timed(drive, noise):
+        states = iter(run(drive, noise))
+        while True:
+            start = time.process_time()
+            state = next(states, None)
+            spent[0] += time.process_time() - start
+            if state is None:
+                return
+            if len(state[2]) > MOST_LANDMARKS:
+                raise _TooLarge
+            yield state
+
+    def work():
+        try:
+            with np.errstate(all="ignore"):
+                for step in steps(timed, drive, noise):
+                    poses.append(step.posterior.world_T_imu)
+                    covariances.append(step.posterior.pose_covariance)
+                    accepted.extend(step.innovation.accepted)
+        except NotImplementedError:
+            problem[0] = NOT_WRITTEN
+        except _TooLarge:
+            problem[0] = f"more than {MOST_LANDMARKS} landmarks in the state: those out of sight have to leave it"
+        except Exception as error:
+            problem[0] = error_message(error)
+
+    ended = within(work, limit)
+    if ended:
+        problem[0] = f"no end after {limit:g} s"
+    elif not problem[0] and len(poses) != drive.n_frames:
+        problem[0] = f"{len(poses)} states for {drive.n_frames} frames" if poses else NOT_WRITTEN
+    elif not problem[0] and not (np.isfinite(poses).all() and np.isfinite(covariances).all()):
+        problem[0] = "a pose or its covariance is not a finite number"
+    return Followed(np.reshape(poses, (-1, 4, 4)), np.reshape(covariances, (-1, 6, 6)),
+                    float(np.mean(accepted)) if accepted else np.nan, spent[0], problem[0])
+
+
+# --- the score --------------------------------------------------------------------------------------------
+
+@dataclass(frozen=True)
+class Figures:
+    """One estimate on one drive: ATE, m; mean NEES of the pose; share of the measurements in the 99 % gate; CPU s.
+
+    sigma : m, what it claims of the last position: root of the trace of the covariance.
+    """
+
+    ate: float
+    nees: float
+    in_gate: float
+    seconds: float
+    sigma: float
+
+
+@dataclass(frozen=True)
+class Judged:
+    """The student's filter on one drive. problem : "" if it came through.
+
+    agreed : the filter that the stages describe, of the package's pieces. package : the package's own, which adds the
+    second-order predicted mean, one of the extensions. dead_reckoning : the IMU alone.
+    """
+
+    drive: str
+    mine: Figures
+    agreed: Figures
+    package: Figures
+    dead_reckoning: Figures
+    problem: str = ""
+
+    @property
+    def all(self) -> tuple[Figures, Figures, Figures, Figures]:
+        """The student's, the agreed filter's, the package's and dead reckoning's."""
+        return self.mine, self.agreed, self.package, self.dead_reckoning
+
+    @property
+    def faults(self) -> list[str]:
+        """What is worse than in the agreed filter."""
+        if self.problem:
+            return [self.problem]
+        low, high = nees_band()
+        mine, right = self.mine, self.agreed
+        return [text for text, wrong in [
+            ("ATE too large", not mine.ate <= ATE_ALLOWED * right.ate),
+            ("NEES out of band", not low <= mine.nees <= max(high, ATE_ALLOWED * right.nees)),
+            ("gate share", mine.in_gate < right.in_gate - SHARE_ALLOWED),
+            ("sigma too large", mine.sigma > SIGMA_ALLOWED * right.sigma),
+        ] if wrong]
+
+
+def _short(nees) -> str:
+    return f"{nees:.1f}" if nees < 1000 else "> 1000"
+
+
+def nees_band() -> tuple[float, float]:
+    """The band of the mean NEES over one drive: that of one number, which is the safe side for a mean over frames."""
+    return metrics.chi2_band(6, 1)
+
+
+def _figures(drive, poses, covariance, in_gate=np.nan, seconds=np.nan, error_state=None) -> Figures:
+    true = drive.true_world_T_imu
+    try:
+        nees = float(metrics.pose_nees(error_state or RightPerturbation(), true, poses, covariance).pose.mean())
+    except np.linalg.LinAlgError:  # not positive definite
+        nees = np.inf
+    sigma = np.nan if error_state else float(np.sqrt(np.trace(covariance[-1, :3, :3])))
+    return Figures(metrics.ate(true, poses), nees, in_gate, seconds, sigma)
+
+
+def package_run(drive: Drive, noise: Noise) -> Iterator[tuple]:
+    """The package's own filter in the form of `filter_run`, over the landmarks in view and without a gate."""
+    for step in window_slam.run(drive, noise, gate=1):
+        after = step.posterior
+        yield after.world_T_imu, after.landmarks, after.ids, after.covariance
+
+
+_NOTHING = Figures(np.nan, np.nan, np.nan, np.nan, np.nan)
+
+
+def judged(run: Callable, drive: Drive, limit: float = LIMIT, error_state: ErrorState | None = None) -> Judged:
+    """A filter on a drive beside the others. error_state : of the student's covariance, the right perturbation if None.
+
+    The share in the gate and sigma are those of the right perturbation, and are left out for another error.
+    """
+    def of(followed, error_state=None):
+        share = followed.in_gate if error_state is None else np.nan
+        return _figures(drive, followed.world_T_imu, followed.covariance, share, followed.seconds, error_state)
+
+    mine = follow(run, drive, limit=limit)
+    if mine.problem == NOT_WRITTEN:
+        return Judged(drive.name, _NOTHING, _NOTHING, _NOTHING, _NOTHING, NOT_WRITTEN)
+    dead = odometry.dead_reckon(drive, NOISE)
+    return Judged(drive.name, _NOTHING if mine.problem else of(mine, error_state),
+                  of(follow(filter_run.reference, drive)), of(follow(package_run, drive)),
+                  _figures(drive, dead.world_T_imu, dead.covariance), mine.problem)
+
+
+@dataclass(frozen=True)
+class Score:
+    """The whole filter: `drives`, a `Judged` for each. student : the number that gave the unseen drives."""
+
+    student: int | str
+    drives: tuple[Judged, ...]
+
+    @property
+    def status(self) -> str:
+        """RIGHT where no drive is worse than with the agreed filter, else WRONG, or NOT_WRITTEN."""
+        if any(one.problem == NOT_WRITTEN for one in self.drives):
+            return NOT_WRITTEN
+        return WRONG if any(one.faults for one in self.drives) else RIGHT
+
+    @property
+    def text(self) -> str:
+        """The table, one row a drive; CPU times are left out: they differ from run to run."""
+        if self.status == NOT_WRITTEN:
+            return "filter_run: not written yet"
+        low, high = nees_band()
+        two = f"{'yours':>7}{'agreed':>7}"
+        four = f"{two}{'package':>8}{'IMU':>6}"
+        lines = [f"{'':12}{'ATE (m)':>28}{'NEES (6 is honest)':>28}{'% in the gate':>14}{'sigma (m)':>14}",
+                 f"{'':12}{four}{four}{two}{two}"]
+        for one in self.drives:
+            ates, nees = ([f"{text:>{width}}" for text, width in zip(texts, (7, 7, 8, 6))] for texts in (
+                [f"{figures.ate:.2f}" for figures in one.all], [_short(figures.nees) for figures in one.all]))
+            lines.append("".join([
+                f"{one.drive:12}", *ates, *nees, *(f"{100 * figures.in_gate:7.1f}" for figures in one.all[:2]),
+                *(f"{figures.sigma:7.3f}" for figures in one.all[:2])]))
+        lines += [f"{one.drive}: {'; '.join(one.faults) or 'like the agreed filter, or better'}" for one in self.drives]
+        lines.append(f"on one drive, at least 99 % of honest filters have a NEES in [{low:.1f}, {high:.1f}]")
+        return "\n".join(lines)
+
+    @property
+    def figures(self) -> dict:
+        """What JSON and CSV files hold."""
+        rows = [{"student": str(self.student), "drive": one.drive, "problem": "; ".join(one.faults)}
+                | {f"{who}_{name}": value if np.isfinite(value) else None
+                   for who in ("mine", "agreed", "package", "dead_reckoning")
+                   for name, value in asdict(getattr(one, who)).items()} for one in self.drives]
+        return {"student": str(self.student), "status": self.status, "drives": rows}
+
+
+def score(run: Callable, student: int | str = 0, limit: float = LIMIT, error_state: ErrorState | None = None) -> Score:
+    """Judge a filter, print the table and, where a teacher's report asks for it, record it. limit : s a drive.
+
+    student : the number that gives the unseen drives. error_state : of the filter's covariance, see `judged`.
+    """
+    found = []
+    for drive in drives(student):
+        found.append(judged(run, drive, limit, error_state))
+        if found[-1].problem == NOT_WRITTEN or found[-1].problem.startswith("no end"):
+            break
+    result = Score(student, tuple(found))
+    print(result.text)
+    path = os.environ.get(VERDICTS)
+    if path:
+        with open(path, "a", encoding="utf-8") as file:
+            file.write(json.dumps({"exercise": filter_run.name, "status": result.status, "mistake": "",
+                                   "text": result.text, "score": result.figures}) + "\n")
+    return result
+
+
+# --- the stages -------------------------------------------------------------------------------------------
+
+def localise(pieces: dict[str, Callable]) -> Verdict | None:
+    """The verdict on the first stage that is not right, in the order of `STAGES`; None if all are.
+
+    pieces : the student's functions by the names of the stages.
+    """
+    for name in STAGES:
+        verdict = judge(EXERCISES[name], pieces[name])
+        if not verdict.right:
+            return verdict
+    return None
+
+
+@dataclass(frozen=True, eq=False)
+class Parting:
+    """Where two results part first. where : in words. mine, package : the matrices there. entry : (row, column)."""
+
+    where: str
+    mine: np.ndarray
+    package: np.ndarray
+    entry: tuple[int, int]
+
+
+def first_parting(name: str, function: Callable) -> Parting | str:
+    """The first input, and in it the first entry, in which a stage is not the package's; else a text that says why not.
+
+    "First" is in the order of the results, of the frames, and then of the rows.
+    """
+    exercise = find(name)
+    for label, arguments in exercise.inputs():
+        outcome = outcome_of(exercise, function, arguments)
+        if outcome.blank:
+            return f"{name}: not written yet"
+        if outcome.values is None:
+            return f"{name}, {label}:\n{error_message(outcome.error)}"
+        expected = exercise.expected(*map(copied, arguments))
+        for output, mine, package in zip(exercise.outputs, outcome.values, expected):
+            mine, package = np.asarray(mine, float), np.asarray(package, float)
+            if mine.shape != package.shape:
+                return f"{name}, {label}: {output} has shape {mine.shape}, the package's {package.shape}"
+            if parting := _parting(f"{label}: {output}", mine, package, exercise.tolerance):
+                return parting
+    return f"{name}: every number is the package's"
+
+
+def _parting(where, mine, package, tolerance) -> Parting | None:
+    scale = np.abs(package).max(initial=0.0) or 1.0
+    apart = ~(np.abs(mine - package) <= tolerance * scale)
+    if not apart.any():
+        return None
+    first = [int(i) for i in np.argwhere(apart)[0]]
+    if mine.ndim == 3:
+        where, mine, package = f"{where} of frame {first[0]}", mine[first[0]], package[first[0]]
+    row, column = [0, 0, *first][-2:]
+    return Parting(where, np.atleast_2d(mine), np.atleast_2d(package), (row, column))
+
+
+@style.styled
+def compare(name: str, function: Callable):
+    """A figure of the first matrix in which a stage is not the package's, its first wrong entry framed.
+
+    Each of the three matrices (the stage's, the package's, their difference) has a colour scale of its own.
+    Prints why and returns None where nothing can be compared.
+    """
+    found = first_parting(name, function)
+    if isinstance(found, str):
+        print(style.on_a_page(found))
+        return None
+    i, j = found.entry
+    print(style.on_a_page(f"{name}, {found.where}, entry [{i}, {j}]: {number(found.mine[i, j])}, "
+                          f"the package has {number(found.package[i, j])}"))
+    figure, axes = drawing.new_figure(height=2.6)
+    gap, columns = np.full((len(found.mine), 1), np.nan), found.mine.shape[1]
+    apart = found.mine - found.package
+    axes.imshow(np.hstack([_scaled(found.mine), gap, _scaled(found.package), gap, _scaled(apart)]), cmap="RdBu_r",
+                norm=_norm(), aspect="auto")
+    lefts = (columns + 1) * np.arange(3)
+    for left in lefts:
+        axes.add_patch(_frame(left + j, i))
+    axes.set(xticks=lefts + (columns - 1) / 2, xticklabels=["yours", "package", "yours - package"])
+    axes.grid(False)
+    return drawing.finish(figure, f"{name}: the first entry that differs, [{i}, {j}], is framed")
+
+
+def _scaled(matrix):
+    """A matrix divided by its largest entry, a matrix of zeros as it is."""
+    return matrix / (np.nanmax(np.abs(matrix)) or 1.0)
+
+
+def _norm():
+    from matplotlib.colors import SymLogNorm
+
+    return SymLogNorm(1e-3, vmin=-1, vmax=1)
+
+
+def _frame(column, row):
+    from matplotlib.patches import Rectangle
+
+    return Rectangle((column - 0.5, row - 0.5), 1, 1, fill=False, edgecolor="black", linewidth=2)

@@ -1,0 +1,108 @@
+"""What a notebook imports: `check`, `hint` and `solution`.
+
+    check.se3_exp(se3_exp)      says whether the function is right
+    hint("se3_exp", 1)          a nudge; 2 says more
+    solution("se3_exp")         how the package does it
+
+Under nbgrader (validate or autograde) a check that is not passed also raises AssertionError, so that its cell
+scores nothing; anywhere else it only prints, so that a notebook runs from top to bottom with its exercises open.
+"""
+
+import inspect
+import json
+import os
+import textwrap
+
+from ...plots.style import on_a_page
+from .exercise import EXERCISES, find
+from .picture import Picture
+from .running import copied
+from .verdict import Verdict, judge
+
+NBGRADER = "NBGRADER_EXECUTION"  # set by nbgrader in the kernels it starts
+VERDICTS = "VISLAM_EDU_VERDICTS"  # names a file that verdicts are appended to, one JSON object a line
+
+
+class Check:
+    """The check of one exercise: call it with the student's function."""
+
+    def __init__(self, exercise):
+        self.exercise = exercise
+        self.last: Verdict | None = None
+        self.__doc__ = exercise.statement
+
+    def __call__(self, function) -> Picture | None:
+        """Try the function and print the verdict; a notebook shows the picture of what is wrong, where there is one."""
+        verdict = self.verdict(function)
+        print(on_a_page(verdict.text))
+        _record(verdict)
+        if os.environ.get(NBGRADER) and not verdict.right:
+            raise AssertionError(verdict.text)
+        return verdict.picture
+
+    def verdict(self, function) -> Verdict:
+        """Try the function and return the verdict; prints nothing."""
+        self.last = judge(self.exercise, function)
+        return self.last
+
+    @property
+    def failing(self):
+        """The arguments of the input that the last check failed on, fresh, to call the function with."""
+        if self.last is None or self.last.failing is None:
+            raise ValueError(f"check.{self.exercise.name} has not found a failing input")
+        return tuple(map(copied, self.last.failing))
+
+    def __repr__(self):
+        return f"check.{self.exercise.name}"
+
+
+class Checks:
+    """All checks, one attribute an exercise."""
+
+    def __init__(self):
+        self._checks = {}
+
+    def __getattr__(self, name) -> Check:
+        if name.startswith("_"):
+            raise AttributeError(name)
+        if name not in self._checks:
+            try:
+                self._checks[name] = Check(find(name))
+            except ValueError as error:
+                raise AttributeError(str(error)) from None
+        return self._checks[name]
+
+    def __dir__(self):
+        return list(EXERCISES)
+
+    def __repr__(self):
+        return "check: " + ", ".join(EXERCISES)
+
+
+def _record(verdict):
+    path = os.environ.get(VERDICTS)
+    if path:
+        with open(path, "a", encoding="utf-8") as file:
+            file.write(json.dumps({"exercise": verdict.exercise, "status": verdict.status,
+                                   "mistake": verdict.mistake, "text": verdict.text}) + "\n")
+
+
+def hint(name, level=1) -> None:
+    """Print a hint for an exercise: level 1 is a nudge, each further one says more."""
+    hints = find(name).hints
+    if level not in range(1, len(hints) + 1):
+        raise ValueError(f"{name} has hints 1 to {len(hints)}, not {level!r}; what is left is solution({name!r})")
+    print(on_a_page(f"{name}, hint {level} of {len(hints)}: {hints[level - 1]}"))
+
+
+def solution(name) -> None:
+    """Print the answer: the exercise in terms of the package, and the package's own source behind it."""
+    exercise = find(name)
+    source = textwrap.dedent(inspect.getsource(exercise.reference))
+    source = source[source.index("\ndef ") + 1:]  # what stands above is the exercise's own decorator
+    parts = [source] + [f"# {shown.__module__}.{shown.__qualname__}\n{textwrap.dedent(inspect.getsource(shown))}"
+                        for shown in exercise.shows]
+    print("\n\n".join(part.rstrip() for part in parts))
+
+
+check = Checks()

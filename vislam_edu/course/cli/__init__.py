@@ -1,0 +1,7 @@
+"""The course's commands, each a module here. `vislam_edu.cli` finds them by the entry point in pyproject.toml."""
+
+COMMANDS = {
+    "start": "copy the notebooks into a folder and open them",
+    "exercises": "grade submitted notebooks, list the mistakes that checks know",
+    "clinic": "an examination with unlabelled faults: hand out case files, grade the answers",
+}

@@ -1,0 +1,48 @@
+"""`start`: a folder of one's own with the notebooks in it, opened in JupyterLab."""
+
+import subprocess
+import sys
+from importlib.util import find_spec
+from pathlib import Path
+
+from ...cli.arguments import OptionError
+from ...recordings import files, shipped
+
+FIRST = "00_start_here.ipynb"
+COPIED = ("notebooks/*.ipynb", "notebooks/images/*", "docs/notation.md", "docs/reading.md", "docs/instructor.md")
+
+
+def add_arguments(parser):
+    parser.add_argument("folder", nargs="?", type=Path, default=Path("vislam_edu_notebooks"), metavar="FOLDER",
+                        help="where the notebooks go (default: %(default)s); what is there already stays as it is")
+    parser.add_argument("--no-open", action="store_true", help="copy only")
+
+
+def run(arguments) -> int:
+    """Copies, says what it did, and opens JupyterLab on chapter 00 unless asked not to."""
+    if not arguments.no_open and find_spec("jupyterlab") is None:
+        raise OptionError("JupyterLab is not installed: python -m pip install jupyterlab ipykernel (or --no-open)")
+    copied, kept = copy_notebooks(arguments.folder)
+    print(f"{arguments.folder}: {copied} files copied" + (f", {kept} were there and stay as they are" if kept else ""))
+    first = arguments.folder / "notebooks" / FIRST
+    if arguments.no_open:
+        return 0
+    return subprocess.call([sys.executable, "-m", "jupyterlab", str(first)])
+
+
+def copy_notebooks(folder: Path) -> tuple[int, int]:
+    """Copy the notebooks, their images and pages into a folder; a file that is there is never written over.
+
+    Returns how many files were copied and how many were there.
+    """
+    copied = kept = 0
+    for path in (path for pattern in COPIED for path in sorted(shipped.ROOT.glob(pattern))):
+        target = folder / path.relative_to(shipped.ROOT)
+        if target.exists():
+            kept += 1
+            continue
+        target.parent.mkdir(parents=True, exist_ok=True)
+        with files.replacing(target) as file:
+            file.write(path.read_bytes())
+        copied += 1
+    return copied, kept

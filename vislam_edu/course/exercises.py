@@ -1,0 +1,22 @@
+"""All exercises, and the checks that a student's own functions are put to.
+
+    from vislam_edu.course.exercises import check, hint, solution
+
+    check.so3_hat(so3_hat)
+
+One module per chapter holds its exercises: statement, inputs, hints, and the wrong versions that people write.
+"""
+
+from importlib import import_module
+
+from .checks.check import check, hint, solution
+from .checks.exercise import EXERCISES
+from .checks.surroundings import remember
+
+__all__ = ["EXERCISES", "check", "hint", "solution"]
+
+CHAPTERS = ("ch01", "ch02", "ch03", "ch04", "ch05", "ch06", "ch07", "ch08", "ch09", "ch10", "ch11", "ch12", "ch13")
+
+for chapter in CHAPTERS:
+    import_module(f".{chapter}.exercises", __package__)  # registers its exercises
+remember()  # what numpy and the package are before any answer has run

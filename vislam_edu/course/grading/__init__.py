@@ -1,0 +1,1 @@
+"""Submitted notebooks: run, collected, reported."""
