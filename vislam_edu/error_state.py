@@ -65,6 +65,10 @@ class ErrorState(ABC):
                 delta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The state, pose (4, 4) and landmarks (n, 3), after an error delta (3n+6,) has been estimated."""
 
+    def retract_motion(self, world_T_imu: np.ndarray, values: np.ndarray, delta: np.ndarray) -> np.ndarray:
+        """What a motion model estimates beyond the pose, (t,), after an error delta (6+t,), [pose, motion]: a sum."""
+        return values + delta[6:]
+
     @abstractmethod
     def pose_difference(self, true_world_T_imu: np.ndarray, world_T_imu: np.ndarray) -> np.ndarray:
         """(..., 6): the error of a pose when the truth is known."""
