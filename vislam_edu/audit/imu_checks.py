@@ -163,7 +163,7 @@ def lever_arm(drive, alignment):
 
 
 def scale_conflict(drive, alignment):
-    """Whose metre is it? The IMU's speed and the cameras' baseline disagree about the length of the path.
+    """The IMU's speed and the cameras' baseline disagree about the length of the path.
 
     The recording cannot tell which is wrong. A few per cent may be either, and nothing is changed; more than a stereo
     pair's calibration is ever off by must be the IMU's unit.

@@ -185,7 +185,7 @@ def _scales(y, x) -> str:
 
 
 def line(method):
-    """Keyword arguments of `Axes.plot` for a method: colour, line style and label."""
+    """Keyword arguments of `matplotlib.axes.Axes.plot` for a method: colour, line style and label."""
     return {"color": COLOURS[method], "linestyle": LINESTYLES[method], "label": LABELS.get(method, method)}
 
 

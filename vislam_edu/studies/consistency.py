@@ -9,8 +9,8 @@ claimed.
     summary(studies)["right_invariant"]["nees_pose"]
 
 With `out`, every drive leaves a file, and a study that was interrupted goes on where it stopped. The
-numbers depend on the seeds alone, not on the workers: every random draw comes from the seed, and `import
-vislam_edu` keeps the linear algebra of each worker to one thread. Two lines put a study on two cores, or
+numbers depend on the seeds alone, not on the workers: every random draw comes from the seed, and
+`window_slam.run` keeps the linear algebra to one thread. Two lines put a study on two cores, or
 on a cluster:
 
     with joblib.parallel_config(n_jobs=2):
