@@ -24,7 +24,7 @@ from collections.abc import Iterator
 import numpy as np
 from scipy.linalg import block_diag
 
-from . import kalman, se3, stereo
+from . import kalman, se3
 from .drive import Drive
 from .kalman import Belief, Innovation, Step
 from .noise import Noise
@@ -62,7 +62,7 @@ def look(camera: StereoCamera, world_T_imu: np.ndarray, point: np.ndarray) -> tu
     chart, y = unpack(point)
     cam_T_chart = camera.cam_T_imu @ se3.inverse(world_T_imu) @ chart
     q = cam_T_chart @ y
-    return q, camera.K_s @ stereo.dpi_dq(q) @ cam_T_chart[:, [0, 1, 3]]
+    return q, camera.homogeneous_jacobian(q) @ cam_T_chart[:, [0, 1, 3]]
 
 
 def update(prior: Belief, ids: np.ndarray, pixels: np.ndarray, camera: StereoCamera, noise: Noise,

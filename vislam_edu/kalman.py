@@ -97,13 +97,23 @@ FARTHEST = 1000.0  # m; a landmark of inverse depth whose distance is larger, or
 
 
 def homogeneous(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Landmarks of inverse depth as homogeneous points of the world: M (n, 3) and rho (n,), 1/m, the position is M / rho.
+    """Landmarks of inverse depth as homogeneous points of the world: M (n, 3) and rho (n,), 1/m.
 
-    points : (n, 3, 5), see `error_state.InverseDepth`. M = R_c (a, b, 1) + rho C; nothing is divided by rho.
+    points : (n, 3, 5), see `error_state.InverseDepth`. The position is M / rho, m, with
+    M = R_c (a, b, 1) + rho C; nothing is divided by rho.
     """
     y = points[..., 4]
     M = points[..., 2] + y[:, None, 0] * points[..., 0] + y[:, None, 1] * points[..., 1] + y[:, 2:] * points[..., 3]
     return M, y[:, 2]
+
+
+def positions(points: np.ndarray) -> np.ndarray:
+    """(n, 3), m, world, of `Belief.points`; an inverse depth counts as at least 1 / `FARTHEST`."""
+    if points.ndim == 2:
+        return points
+    M, rho = homogeneous(points)
+    behind = np.minimum(rho - 1 / FARTHEST, 0.0)  # what is missing to a distance that can be drawn
+    return (M - behind[:, None] * points[..., 3]) / (rho - behind)[:, None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,11 +138,8 @@ class Belief:
 
     @cached_property
     def landmarks(self) -> np.ndarray:
-        """(n, 3), m, world; of an inverse depth below 1 / `FARTHEST` at that distance."""
-        if self.points.ndim == 2:
-            return self.points
-        M, rho = homogeneous(self.points)
-        return M / np.maximum(rho, 1 / FARTHEST)[:, None]
+        """(n, 3), m, world."""
+        return positions(self.points)
 
     @property
     def pose(self) -> slice:

@@ -162,7 +162,7 @@ class StereoCamera:
 
     @cached_property
     def inverse_depth_of_pixels(self) -> tuple[np.ndarray, np.ndarray]:
-        """A (3, 4) and offset (3,), read-only: (a, b, rho) = A pixels + offset, of a point (a, b, 1) / rho, camera frame.
+        """A (3, 4) and offset (3,), read-only: (a, b, rho) = A pixels + offset, the point is (a, b, 1) / rho.
 
         a = (u_left - c_u) / f_u, b = (v - c_v) / f_v with the mean v of both rows, rho = (u_left - u_right) / (f_u b).
         """
@@ -194,9 +194,13 @@ class StereoCamera:
         return np.matvec(self.K_s, pi(q)), in_front
 
     def project_homogeneous(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """As `project`, of points (..., 4) [x, y, z, rho] that stand at [x, y, z] / rho; rho <= 0 is beyond infinity."""
+        """As `project`, of points (..., 4) [x, y, z, rho] at [x, y, z] / rho, 1/m; rho may be zero or negative."""
         q, in_front = _seen(checked(q, (4,), "q"))
         return np.matvec(self.K_s, pi(q)), in_front
+
+    def homogeneous_jacobian(self, q: np.ndarray) -> np.ndarray:
+        """Derivative (..., 4, 4) of the pixels by q (..., 4) of `project_homogeneous`: `K_s dpi/dq`."""
+        return self.K_s @ dpi_dq(_seen(q)[0])
 
     def projection_jacobian(self, points_cam: np.ndarray) -> np.ndarray:
         """Derivative of the pixels by the homogeneous point, `K_s dpi/dq`.
