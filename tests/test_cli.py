@@ -80,7 +80,7 @@ def test_summary_has_its_keys_and_says_what_the_filter_did(out, recording):
     summary = json.loads((out / "summary.json").read_text())
     assert sorted(summary) == sorted(KEYS + TRUTH_KEYS + SENTENCES)
     drive = recordings.load(recording)
-    result = pipeline.run_pipeline(drive, Noise())
+    result = pipeline.run_pipeline(drive, Noise(), InverseDepth())
     assert summary["frames"] == 130
     assert summary["landmarks"] == drive.n_landmarks
     assert summary["landmarks_used"] == result.slam.map.seen.sum()
