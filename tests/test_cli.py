@@ -19,6 +19,7 @@ from evo.tools import file_interface
 from vislam_edu import cli, recordings
 from vislam_edu.cli import outputs
 from vislam_edu.cli.run import prepare
+from vislam_edu.error_state import InverseDepth
 from vislam_edu.noise import Noise
 from vislam_edu.plots import report_figures
 from vislam_edu.recordings import files as recorded
