@@ -19,6 +19,7 @@ from evo.tools import file_interface
 from vislam_edu import cli, recordings
 from vislam_edu.cli import outputs
 from vislam_edu.cli.run import prepare
+from vislam_edu.error_state import InverseDepth
 from vislam_edu.noise import Noise
 from vislam_edu.plots import report_figures
 from vislam_edu.recordings import files as recorded
@@ -80,7 +81,7 @@ def test_summary_has_its_keys_and_says_what_the_filter_did(out, recording):
     summary = json.loads((out / "summary.json").read_text())
     assert sorted(summary) == sorted(KEYS + TRUTH_KEYS + SENTENCES)
     drive = recordings.load(recording)
-    result = pipeline.run_pipeline(drive, Noise())
+    result = pipeline.run_pipeline(drive, Noise(), InverseDepth())
     assert summary["frames"] == 130
     assert summary["landmarks"] == drive.n_landmarks
     assert summary["landmarks_used"] == result.slam.map.seen.sum()
@@ -137,15 +138,16 @@ def test_run_as_a_program_with_a_progress_bar_and_a_printed_summary(recording, t
 @pytest.mark.usefixtures("no_figures")
 @pytest.mark.parametrize("options", [
     ["--error-state", "invariant"],
+    ["--error-state", "right"],
     ["--initialisation", "as-report"],
     ["--report-noise"],
     ["--sigma-px", "2"],
     ["--sigma-v", "0.1"],
     ["--sigma-omega", "0.01"],
     ["--gate", "0.5"],
-    ["--min-disparity", "12"],
+    ["--min-disparity", "12", "--error-state", "cartesian"],
     ["--every", "3"],
-], ids=lambda o: o[0])
+], ids=lambda o: " ".join(o))
 def test_every_option_reaches_the_filter(options, out, recording, tmp_path):
     assert cli.main(["run", str(recording), "--out", str(tmp_path), "--quiet", *options]) == 0
     with np.load(out / "result.npz") as plain, np.load(tmp_path / "result.npz") as changed:
@@ -356,6 +358,8 @@ def bad_files(tmp_path_factory):
     (["run", "good.npz", "--out", "out", "--every", "0"], "--every: 0 is not a whole number of at least 1"),
     (["run", "good.npz", "--out", "out", "--every", "1.5"], "--every: invalid whole number value"),
     (["run", "good.npz", "--out", "out", "--error-state", "left"], "--error-state: invalid choice: 'left'"),
+    (["run", "good.npz", "--out", "out", "--error-state", "inverse-depth", "--initialisation", "as-report"],
+     "as-report gives a landmark 2 m^2 per axis"),
     (["simulate", "--out", "a.npz", "--frames", "3"], "frames"),
     (["simulate", "--out", "a.npz", "--outlier-share", "2"], "--outlier-share"),
     (["simulate", "--out", "a.npz", "--gyro-bias", "nan", "0", "0"], "--gyro-bias"),

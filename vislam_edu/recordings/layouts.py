@@ -8,9 +8,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from .. import se3
-from ..drive import Drive, DriveError
+from ..drive import LARGEST, Drive, DriveError
 from ..stereo import StereoCamera
-from ..validation import LARGEST
 from . import extrinsics as mounting
 from . import files, shipped
 from .features import drive_from_features, drive_from_pieces
