@@ -22,7 +22,7 @@ complement); Triggs et al., Bundle adjustment: a modern synthesis, 2000 (robust 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import accumulate
 
@@ -33,7 +33,7 @@ from scipy.sparse import bsr_array, csr_array, hstack, vstack
 from scipy.sparse.csgraph import reverse_cuthill_mckee
 
 from . import odometry, se3
-from .drive import Drive
+from .drive import Drive, DriveError
 from .noise import Noise
 from .stereo import ROW_VARIANCE, ROWS, reduce_rows
 
@@ -101,6 +101,8 @@ class Problem:
     loss : `quadratic` or `cauchy`, of the squared residual of one pixel measurement.
     place : (M,), the row of the map that each track of the drive is a view of; by default each has its own.
     prior_world_T_imu : (4, 4), mean of the prior on T_0, whose covariance is `noise.initial_pose_covariance`.
+
+    Raises DriveError for a drive of one frame or without observations, ValueError for an IMU without noise.
     """
 
     drive: Drive
@@ -110,6 +112,20 @@ class Problem:
     loss: Loss = quadratic
     place: np.ndarray | None = None
     prior_world_T_imu: np.ndarray = field(default_factory=lambda: np.eye(4))
+
+    def __post_init__(self) -> None:
+        if self.drive.n_frames < 2 or not len(self.drive.pixels):
+            raise DriveError("a batch estimate needs two frames and a landmark in view, not "
+                             f"{self.drive.n_frames} frames with {len(self.drive.pixels)} observations")
+        if min(self.noise.sigma_v, self.noise.sigma_omega) <= 0:
+            raise ValueError("a batch estimate divides each residual by its sigma, so the IMU's must be above 0, not "
+                             f"sigma_v {self.noise.sigma_v:g} m/s and sigma_omega {self.noise.sigma_omega:g} rad/s")
+
+    @property
+    def dof(self) -> int:
+        """Degrees of freedom: residuals less unknowns. Poses, the IMU's samples and constants cancel each other."""
+        walk = 0 if self.walk_sigma is None else 6 * (self.drive.n_frames - 2)
+        return 3 * (len(self.landmark) - len(np.unique(self.landmark))) + walk
 
     @cached_property
     def landmark(self) -> np.ndarray:
@@ -146,11 +162,30 @@ def start(problem: Problem, world_T_imu: np.ndarray | None = None) -> Estimate:
     drive = problem.drive
     if world_T_imu is None:
         world_T_imu = odometry.dead_reckon(drive, problem.noise, problem.prior_world_T_imu).world_T_imu
+    world_T_imu = np.asarray(world_T_imu)
+    return Estimate(world_T_imu, nearest_views(problem, world_T_imu), np.array([0.0, 0.0, 0.0, 1.0]))
+
+
+def nearest_views(problem: Problem, world_T_imu: np.ndarray) -> np.ndarray:
+    """(M, 3) m, world: each landmark where its nearest view puts it, given the poses (T, 4, 4)."""
+    drive = problem.drive
     points, _ = drive.camera.triangulate(drive.pixels)
     near_last = np.argsort(drive.pixels[:, 0] - drive.pixels[:, 2])
     landmarks = np.zeros((drive.n_landmarks, 3))  # of several writes to one row the last one stays
     landmarks[problem.landmark[near_last]] = drive.camera.to_world(world_T_imu[drive.frame], points)[near_last]
-    return Estimate(np.asarray(world_T_imu), landmarks, np.array([0.0, 0.0, 0.0, 1.0]))
+    return landmarks
+
+
+def in_front_again(problem: Problem, estimate: Estimate) -> Estimate:
+    """The estimate with every landmark that lies behind one of its cameras begun anew: it has no derivative there."""
+    drive = problem.drive
+    points = drive.camera.to_cam(estimate.world_T_imu[drive.frame], estimate.landmarks[problem.landmark])
+    lost = np.unique(problem.landmark[points[:, 2] <= 0])
+    if not len(lost):
+        return estimate
+    landmarks = estimate.landmarks.copy()
+    landmarks[lost] = nearest_views(problem, estimate.world_T_imu)[lost]
+    return replace(estimate, landmarks=landmarks)
 
 
 # --- residuals and their derivatives ------------------------------------------------------------------------
@@ -357,21 +392,27 @@ class Factorised:
 
 @dataclass(frozen=True, eq=False)
 class Iteration:
-    """One accepted step. estimate : after it. cost : there. damping : lambda of the step. tried : lambdas it took."""
+    """One accepted step. estimate : after it. cost : there. damping : lambda of the step. tried : lambdas it took.
+
+    converged : whether no other step is needed.
+    """
 
     estimate: Estimate
     cost: float
     damping: float
     tried: int
+    converged: bool = False
 
 
 def iterate(problem: Problem, estimate: Estimate | None = None, damping: float = 1e-4,
-            tolerance: float = 1e-2, most: int = 50) -> Iterator[Iteration]:
+            tolerance: float = 1e-2, still: float = 0.0, most: int = 100) -> Iterator[Iteration]:
     """Levenberg-Marquardt: yields the start, then every step that lowered the cost.
 
     A step that raises the cost, or a matrix that is not positive definite, makes lambda ten times larger and is tried
     again; a good step makes it ten times smaller. Ends when a step lowers the cost by less than `tolerance`: the cost
-    is a chi-square, so 1 is what an error of one standard deviation costs, whatever the number of measurements.
+    is a chi-square, so 1 is what an error of one standard deviation costs, whatever the number of measurements. With a
+    robust loss the cost falls on and on while far outliers settle: then also when an undamped step moves no position
+    by more than `still`, m.
     Source: Marquardt, An algorithm for least-squares estimation of nonlinear parameters, 1963.
     """
     estimate = start(problem) if estimate is None else estimate
@@ -386,18 +427,20 @@ def iterate(problem: Problem, estimate: Estimate | None = None, damping: float =
             except LinAlgError:
                 damping *= 10
                 continue
-            moved = estimate.retract(_whole(step, normal), problem.anchor)
+            moved = in_front_again(problem, estimate.retract(_whole(step, normal), problem.anchor))
             at = linearise(problem, moved)
             if at.cost <= before:
                 break
             damping *= 10
         else:
             return
+        way = np.linalg.norm((moved.world_T_imu - estimate.world_T_imu)[:, :3, 3], axis=1).max()
+        converged = before - at.cost < tolerance or bool(way < still and tried == 1)
         estimate = moved
-        yield Iteration(estimate, at.cost, damping, tried)
-        damping = max(damping / 10, DAMPING[0])
-        if before - at.cost < tolerance:
+        yield Iteration(estimate, at.cost, damping, tried, converged)
+        if converged:
             return
+        damping = max(damping / 10, DAMPING[0])
 
 
 def _whole(step: np.ndarray, normal: NormalEquations) -> np.ndarray:
@@ -410,12 +453,18 @@ def _whole(step: np.ndarray, normal: NormalEquations) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """Where the iterations end. iterations : how many steps were taken."""
+    """Where the iterations end. iterations : how many steps were taken. converged : whether they had come to rest."""
 
     problem: Problem
     estimate: Estimate
     cost: float
     iterations: int
+    converged: bool = False
+
+    @property
+    def cost_per_dof(self) -> float:
+        """1 at the right minimum with plain squares, and less with a robust loss, if the noise is as assumed."""
+        return self.cost / max(self.problem.dof, 1)
 
     @cached_property
     def _factorised(self) -> Factorised:
@@ -440,8 +489,8 @@ class Solution:
         return columns[rows.ravel()].reshape(n, d, n, d)[np.arange(n), :, np.arange(n)]
 
 
-def solve(problem: Problem, estimate: Estimate | None = None, tolerance: float = 1e-2) -> Solution:
-    """The estimate of the least cost. estimate, tolerance : see `iterate`."""
-    for n, last in enumerate(iterate(problem, estimate, tolerance=tolerance)):  # noqa: B007
+def solve(problem: Problem, estimate: Estimate | None = None, tolerance: float = 1e-2, still: float = 0.0) -> Solution:
+    """The estimate of the least cost. estimate, tolerance, still : see `iterate`."""
+    for n, last in enumerate(iterate(problem, estimate, tolerance=tolerance, still=still)):  # noqa: B007
         pass
-    return Solution(problem, last.estimate, last.cost, n)
+    return Solution(problem, last.estimate, last.cost, n, last.converged)

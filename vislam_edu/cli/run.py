@@ -80,6 +80,21 @@ def prepare(arguments):
     return drive.subsample(arguments.every), noise_from(arguments, base), options
 
 
+def batch_problem(arguments, drive, noise):
+    """What `--batch` minimises. Raises OptionError or DriveError where nothing can be minimised."""
+    from .. import batch
+    from ..drive import DriveError
+    from ..studies import pipeline
+
+    try:
+        return (pipeline.batch_of_real_drive(drive, noise, scale_sigma=0.05) if arguments.audit
+                else batch.Problem(drive, noise))
+    except DriveError as error:
+        raise DriveError(f"{arguments.recording}: {error}; leave out --batch") from None
+    except ValueError as error:
+        raise OptionError(f"run --batch: {error}") from None
+
+
 def _on_all_cores():
     """Context in which the runs of `--calibration` share the cores; joblib is imported for it alone."""
     import joblib
@@ -95,7 +110,7 @@ def run(arguments):
     from numpy.linalg import LinAlgError
     from tqdm import tqdm
 
-    from .. import batch, window_slam
+    from .. import window_slam
     from ..drive import DriveError
     from ..error_state import RightInvariant, RightPerturbation
     from ..studies import breakdown, pipeline
@@ -104,6 +119,7 @@ def run(arguments):
     if arguments.causal and not arguments.audit:
         raise OptionError("run: --causal says which cures to apply, so it needs --audit")
     drive, noise, options = prepare(arguments)
+    problem = batch_problem(arguments, drive, noise) if arguments.batch else None
     invariant = (arguments.error_state or ("invariant" if arguments.audit else "right")) == "invariant"
     method = "invariant" if invariant else "report" if arguments.report_noise else "slam"
     if arguments.initialisation == "as-report":
@@ -122,11 +138,7 @@ def run(arguments):
         if unusable := breakdown.unusable(result):
             raise DriveError(f"{arguments.recording}: not finite, or with a covariance that is not positive definite: "
                              f"{', '.join(unusable)}; {breakdown.likely_reason(drive, noise)}")
-        smoothed = None
-        if arguments.batch:
-            problem = (pipeline.batch_of_real_drive(drive, noise, scale_sigma=0.05) if arguments.audit
-                       else batch.Problem(drive, noise))
-            smoothed = pipeline.run_batch(problem, result.slam.trajectory.world_T_imu)
+        smoothed = pipeline.run_batch(problem, result.slam.trajectory.world_T_imu) if problem else None
         numbers = outputs.write(result, folder, smoothed)
     if not arguments.quiet:
         print(outputs.table(numbers))
