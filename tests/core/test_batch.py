@@ -125,7 +125,7 @@ def test_the_schur_complement_solves_the_whole_system(damping):
     r, J = at.whole()
     J = np.hstack([J.toarray(), np.pad(at.J_imu, ((0, len(r) - len(at.r)), (0, 0)))])
     J = np.vstack([J, np.pad(np.diag(1 / IMU_SIGMA), ((0, 0), (J.shape[1] - 4, 0)))])
-    r = np.concatenate([r, at.r_imu / IMU_SIGMA])
+    r = np.concatenate([r, at.r_constants / IMU_SIGMA])
     H = J.T @ J
     H += damping * np.diag(np.diag(H))
     normal = batch.NormalEquations(at)
