@@ -161,12 +161,20 @@ def test_report_noise_is_the_reports_unless_a_value_is_given():
         Noise.from_report().sigma_v, Noise.from_report().sigma_omega, 1)
 
 
+def test_batch_without_noise_of_the_imu_is_refused_before_the_filter_runs(recording, tmp_path, capsys):
+    assert cli.main(["run", str(recording), "--out", str(tmp_path / "out"), "--batch", "--sigma-v", "0"]) == 2
+    assert "sigma_v 0 m/s" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
 def test_batch_adds_its_figure_and_its_numbers_and_nothing_else(out, recording, tmp_path):
     assert cli.main(["run", str(recording), "--out", str(tmp_path), "--quiet", "--batch"]) == 0
     assert set(files(tmp_path)) - set(files(out)) == {"fig8_batch.png"}
     with_batch, without = (json.loads((folder / "summary.json").read_text()) for folder in (tmp_path, out))
     assert set(with_batch) - set(without) == {
-        "batch_s", "batch_iterations", "batch_position_rmse_m", "batch_ate_m", "batch_drift_percent"}
+        "batch_s", "batch_iterations", "batch_position_rmse_m", "batch_ate_m", "batch_drift_percent", "batch"}
+    assert with_batch["batch"]["converged"]
+    assert set(with_batch["batch"]) == {"cost_per_dof", "converged", "end_sigma_m", "nees_pose", "inside_3_sigma"}
     assert with_batch["batch_position_rmse_m"] < with_batch["dead_reckoning_position_rmse_m"]
 
 

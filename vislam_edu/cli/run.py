@@ -95,6 +95,21 @@ def error_state_of(arguments):
     return {"inverse-depth": InverseDepth, "right": RightPerturbation}.get(name, RightInvariant)()
 
 
+def batch_problem(arguments, drive, noise):
+    """What `--batch` minimises. Raises OptionError or DriveError where nothing can be minimised."""
+    from .. import batch
+    from ..drive import DriveError
+    from ..studies import pipeline
+
+    try:
+        return (pipeline.batch_of_real_drive(drive, noise, scale_sigma=0.05) if arguments.audit
+                else batch.Problem(drive, noise))
+    except DriveError as error:
+        raise DriveError(f"{arguments.recording}: {error}; leave out --batch") from None
+    except ValueError as error:
+        raise OptionError(f"run --batch: {error}") from None
+
+
 def _on_all_cores():
     """Context in which the runs of `--calibration` share the cores; joblib is imported for it alone."""
     import joblib
@@ -110,7 +125,7 @@ def run(arguments):
     from numpy.linalg import LinAlgError
     from tqdm import tqdm
 
-    from .. import batch, window_slam
+    from .. import window_slam
     from ..drive import DriveError
     from ..studies import breakdown, pipeline
     from . import outputs
@@ -120,6 +135,7 @@ def run(arguments):
     error_state = error_state_of(arguments)
     drive, noise, options = prepare(arguments)
     method = "report" if error_state.role == "slam" and arguments.report_noise else error_state.role
+    problem = batch_problem(arguments, drive, noise) if arguments.batch else None
     if arguments.initialisation == "as-report":
         options["process_frame"] = window_slam.as_report
     with outputs.appearing_in(arguments.out) as folder:
@@ -135,11 +151,7 @@ def run(arguments):
         if unusable := breakdown.unusable(result):
             raise DriveError(f"{arguments.recording}: not finite, or with a covariance that is not positive definite: "
                              f"{', '.join(unusable)}; {breakdown.likely_reason(drive, noise)}")
-        smoothed = None
-        if arguments.batch:
-            problem = (pipeline.batch_of_real_drive(drive, noise, scale_sigma=0.05) if arguments.audit
-                       else batch.Problem(drive, noise))
-            smoothed = pipeline.run_batch(problem, result.slam.trajectory.world_T_imu)
+        smoothed = pipeline.run_batch(problem, result.slam.trajectory.world_T_imu) if problem else None
         numbers = outputs.write(result, folder, smoothed)
     if not arguments.quiet:
         print(outputs.table(numbers))
