@@ -154,7 +154,7 @@ def test_every_option_reaches_the_filter(options, out, recording, tmp_path):
 
 def test_report_noise_is_the_reports_unless_a_value_is_given():
     words = ["run", "--out", "x", "--report-noise", "--sigma-px", "1"]
-    _, noise, _ = prepare(cli.parser(words).parse_args(words))
+    _, noise, *_ = prepare(cli.parser(words).parse_args(words))
     assert (noise.sigma_v, noise.sigma_omega, noise.sigma_px) == (
         Noise.from_report().sigma_v, Noise.from_report().sigma_omega, 1)
 

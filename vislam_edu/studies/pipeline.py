@@ -99,10 +99,9 @@ class Result:
         IMU alone would.
         """
         found = self.slam.warnings(self.gate)
-        visible = self.drive.visible.mean()
-        if visible < FEW_TRACKS:
-            found.append(f"{visible:.0f} tracks in view on average where a filter of this kind needs {FEW_TRACKS}: "
-                         "dead reckoning may be the better path")
+        if has_few_tracks(self.drive):
+            found.append(f"{self.drive.visible.mean():.0f} tracks in view on average where a filter of this kind "
+                         f"needs {FEW_TRACKS}: dead reckoning is the better path")
         ends = [np.sqrt(np.trace(t.covariance[-1, :3, :3])) for t in (self.slam.trajectory, self.dead_reckoning)]
         if ends[0] > ends[1]:
             found.append(f"by its own covariance the filter ends uncertain by {ends[0]:.2g} m, dead reckoning by "
@@ -134,6 +133,11 @@ def no_progress(frames, **_):
 FEW_TRACKS = 10  # in view on average
 REAL_TOLERANCE = 100.0  # of the batch's cost: robust weights settle slowly, and the path has long stopped moving
 TRACK_SIGMA_PX = 1.0  # px. From frame to frame tracks scatter by 0.2 px, but over their life they slip.
+
+
+def has_few_tracks(drive) -> bool:
+    """Whether a drive's tracks are too few for a filter of this kind to improve on dead reckoning."""
+    return bool(drive.visible.mean() < FEW_TRACKS)
 
 
 def noise_of_real_drive(measured) -> Noise:
