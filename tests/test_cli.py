@@ -27,11 +27,12 @@ from vislam_edu.studies import breakdown, pipeline
 
 SHARED = Path(__file__).resolve().parents[2] / "shared" / "data"
 KEYS = ["frames", "duration_s", "landmarks", "landmarks_used", "measurements", "rejected_share", "filter_s",
-        "real_time_factor", "metre", "end_sigma_m_without_calibration_error"]
+        "real_time_factor", "metre", "end_sigma_m_without_calibration_error", "recommended"]
 SENTENCES = ["changed", "warnings"]
 TRUTH_KEYS = ["position_rmse_m", "ate_m", "dead_reckoning_position_rmse_m", "dead_reckoning_ate_m",
               "drift_percent", "drift_deg_per_m", "nees_pose", "inside_3_sigma"]
-FILES = sorted(["kitti/trajectory.txt", "tum/trajectory.txt", "result.npz", "summary.json",
+FILES = sorted([*(f"{layout}/{path}.txt" for layout in ("kitti", "tum") for path in ("trajectory", "dead_reckoning")),
+                "result.npz", "summary.json",
                 *(f"{name}.png" for name in report_figures.FIGURES)])
 
 

@@ -125,7 +125,7 @@ def write(result, folder, smoothed=None, warnings=()):
     """Write all that `python -m vislam_edu run` promises into an empty folder. Returns the summary.
 
     summary.json, null for NaN. kitti/trajectory.txt and tum/trajectory.txt, poses of the left camera in the
-    frame of the first one (KITTI's convention), and dead_reckoning.txt beside them where that path is recommended.
+    frame of the first one (KITTI's convention), and dead_reckoning.txt beside them.
     result.npz: poses of the IMU, covariances of right perturbations [position m, rotation rad] (pose_covariance:
     without calibration error; calibration_covariance: that error alone, where it was asked for), and the landmarks (m,
     world) that the filter used, with ids and covariances. fig1_... to fig7_... .png. smoothed : `pipeline.Smoothed` or
@@ -138,10 +138,7 @@ def write(result, folder, smoothed=None, warnings=()):
     (folder / "summary.json").write_text(json.dumps(strict, indent=2) + "\n", encoding="utf-8")
     for layout in ("kitti", "tum"):
         (folder / layout).mkdir()
-    paths = {"trajectory": slam.trajectory}
-    if numbers["recommended"] == "dead reckoning":
-        paths["dead_reckoning"] = result.dead_reckoning
-    for name, trajectory in paths.items():
+    for name, trajectory in (("trajectory", slam.trajectory), ("dead_reckoning", result.dead_reckoning)):
         poses = _world_T_cam(drive, trajectory)
         recordings.save_kitti(folder / "kitti" / f"{name}.txt", poses)
         recordings.save_tum(folder / "tum" / f"{name}.txt", drive.times, poses)
