@@ -28,11 +28,12 @@ from vislam_edu.studies import breakdown, pipeline
 
 SHARED = Path(__file__).resolve().parents[3] / "shared" / "data"
 KEYS = ["frames", "duration_s", "landmarks", "landmarks_used", "measurements", "rejected_share", "filter_s",
-        "real_time_factor", "metre", "end_sigma_m_without_calibration_error"]
+        "real_time_factor", "metre", "end_sigma_m_without_calibration_error", "recommended"]
 SENTENCES = ["changed", "warnings"]
 TRUTH_KEYS = ["position_rmse_m", "ate_m", "dead_reckoning_position_rmse_m", "dead_reckoning_ate_m",
               "drift_percent", "drift_deg_per_m", "nees_pose", "inside_3_sigma"]
-FILES = sorted(["kitti/trajectory.txt", "tum/trajectory.txt", "result.npz", "summary.json",
+FILES = sorted([*(f"{layout}/{path}.txt" for layout in ("kitti", "tum") for path in ("trajectory", "dead_reckoning")),
+                "result.npz", "summary.json",
                 *(f"{name}.png" for name in report_figures.FIGURES)])
 
 
@@ -156,7 +157,7 @@ def test_every_option_reaches_the_filter(options, out, recording, tmp_path):
 
 def test_report_noise_is_the_reports_unless_a_value_is_given():
     words = ["run", "--out", "x", "--report-noise", "--sigma-px", "1"]
-    _, noise, _ = prepare(cli.parser(words).parse_args(words))
+    _, noise, *_ = prepare(cli.parser(words).parse_args(words))
     assert (noise.sigma_v, noise.sigma_omega, noise.sigma_px) == (
         Noise.from_report().sigma_v, Noise.from_report().sigma_omega, 1)
 

@@ -15,11 +15,12 @@ from ..error_state import RightPerturbation
 from ..plots import report_figures, style
 from ..plots.graph import draw_batch
 from ..recordings.files import part_of
+from ..studies import pipeline
 
 PNG = style.PNG | {"pil_kwargs": {"compress_level": 3}}  # 2 % more bytes than 6, the default, in a third of the time
 
 
-def summary(result, smoothed=None) -> dict:
+def summary(result, smoothed=None, warnings=()) -> dict:
     """The numbers that sum a run up; keys name their units.
 
     Counts: frames, landmarks (in the recording), landmarks_used (that entered the joint filter),
@@ -68,8 +69,9 @@ def summary(result, smoothed=None) -> dict:
             world_T_cam = poses @ drive.camera.imu_T_cam
             numbers["batch_drift_percent"] = metrics.kitti_drift(drive.truth_world_T_cam, world_T_cam)[0]
         numbers["batch"] = _ending(smoothed.solution)
-    warnings = result.warnings + (smoothed.warnings if smoothed is not None else [])
-    return numbers | {"changed": list(drive.history), "warnings": warnings}
+    numbers["recommended"] = "dead reckoning" if pipeline.has_few_tracks(drive) else "filter"
+    found = [*warnings, *result.warnings, *(smoothed.warnings if smoothed is not None else [])]
+    return numbers | {"changed": list(drive.history), "warnings": found}
 
 
 def _ending(solution):
@@ -132,7 +134,7 @@ def table(numbers) -> str:
 
 
 def _short(value):
-    return str(value) if isinstance(value, int) else f"{value:.4g}"
+    return str(value) if isinstance(value, int | str) else f"{value:.4g}"
 
 
 def _strict(value):
@@ -142,24 +144,26 @@ def _strict(value):
     return None if isinstance(value, float) and math.isnan(value) else value
 
 
-def write(result, folder, smoothed=None):
+def write(result, folder, smoothed=None, warnings=()):
     """Write all that `python -m vislam_edu run` promises into an empty folder. Returns the summary.
 
     summary.json, null for NaN. kitti/trajectory.txt and tum/trajectory.txt, poses of the left camera in the
-    frame of the first one (KITTI's convention). result.npz: poses of the IMU, covariances of right
-    perturbations [position m, rotation rad] (pose_covariance: without calibration error; calibration_covariance: that
-    error alone, where it was asked for), and the landmarks (m, world) that the filter used, with ids and
-    covariances. fig1_... to fig7_... .png. smoothed : `pipeline.Smoothed` or None; its poses and landmarks are then in
-    result.npz too, and fig8_batch.png compares the paths.
+    frame of the first one (KITTI's convention), and dead_reckoning.txt beside them.
+    result.npz: poses of the IMU, covariances of right perturbations [position m, rotation rad] (pose_covariance:
+    without calibration error; calibration_covariance: that error alone, where it was asked for), and the landmarks (m,
+    world) that the filter used, with ids and covariances. fig1_... to fig7_... .png. smoothed : `pipeline.Smoothed` or
+    None; its poses and landmarks are then in result.npz too, and fig8_batch.png compares the paths. warnings :
+    sentences that come before those of the result.
     """
     folder, drive, slam = Path(folder), result.drive, result.slam
-    numbers = summary(result, smoothed)
+    numbers = summary(result, smoothed, warnings)
     (folder / "summary.json").write_text(json.dumps(_strict(numbers), indent=2) + "\n", encoding="utf-8")
-    poses = _world_T_cam(drive, slam.trajectory)
     for layout in ("kitti", "tum"):
         (folder / layout).mkdir()
-    recordings.save_kitti(folder / "kitti" / "trajectory.txt", poses)
-    recordings.save_tum(folder / "tum" / "trajectory.txt", drive.times, poses)
+    for name, trajectory in (("trajectory", slam.trajectory), ("dead_reckoning", result.dead_reckoning)):
+        poses = _world_T_cam(drive, trajectory)
+        recordings.save_kitti(folder / "kitti" / f"{name}.txt", poses)
+        recordings.save_tum(folder / "tum" / f"{name}.txt", drive.times, poses)
     np.savez_compressed(
         folder / "result.npz",
         times=drive.times,

@@ -17,7 +17,6 @@ from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
-from .. import batch
 from ..drive import DriveError
 from ..simulate import faults
 from . import calibration, pipeline

@@ -100,10 +100,9 @@ class Result:
         IMU alone would.
         """
         found = self.slam.warnings(self.gate)
-        visible = self.drive.visible.mean()
-        if visible < FEW_TRACKS:
-            found.append(f"{visible:.0f} tracks in view on average where a filter of this kind needs {FEW_TRACKS}: "
-                         "dead reckoning may be the better path")
+        if has_few_tracks(self.drive):
+            found.append(f"{self.drive.visible.mean():.0f} tracks in view on average where a filter of this kind "
+                         f"needs {FEW_TRACKS}: dead reckoning is the better path")
         ends = [np.sqrt(np.trace(t.covariance[-1, :3, :3])) for t in (self.slam.trajectory, self.dead_reckoning)]
         if ends[0] > ends[1]:
             found.append(f"by its own covariance the filter ends uncertain by {ends[0]:.2g} m, dead reckoning by "
@@ -148,6 +147,11 @@ FEW_TRACKS = 10  # in view on average
 MOST_COST = 1.2  # of the batch, over the upper end of its chi-square band
 STILL = 0.05  # m: what no pose of a real drive moves in the batch's last iteration
 TRACK_SIGMA_PX = 1.0  # px. From frame to frame tracks scatter by 0.2 px, but over their life they slip.
+
+
+def has_few_tracks(drive) -> bool:
+    """Whether a drive's tracks are too few for a filter of this kind to improve on dead reckoning."""
+    return bool(drive.visible.mean() < FEW_TRACKS)
 
 
 def noise_of_real_drive(measured) -> Noise:
