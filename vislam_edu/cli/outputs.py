@@ -19,7 +19,7 @@ from ..recordings.files import part_of
 PNG = style.PNG | {"pil_kwargs": {"compress_level": 3}}  # 2 % more bytes than 6, the default, in a third of the time
 
 
-def summary(result, smoothed=None) -> dict:
+def summary(result, smoothed=None, doubts=()) -> dict:
     """The numbers that sum a run up; keys name their units.
 
     Counts: frames, landmarks (in the recording), landmarks_used (that entered the joint filter),
@@ -36,7 +36,7 @@ def summary(result, smoothed=None) -> dict:
     alignment), ate_m (after SE(3) alignment) and KITTI drift, of the left camera as in the benchmark, NaN for drives
     under 100 m; those of dead reckoning carry its name. With a batch estimate its seconds, iterations and the same
     errors, under its name. Last, as lists of sentences, changed (what was done to the recording) and warnings (what
-    speaks against the result).
+    speaks against the result; first `doubts`, about the ground truth).
     """
     drive, slam = result.drive, result.slam
     numbers = {
@@ -67,7 +67,7 @@ def summary(result, smoothed=None) -> dict:
             numbers |= _errors(drive, poses, "batch_")
             world_T_cam = poses @ drive.camera.imu_T_cam
             numbers["batch_drift_percent"] = metrics.kitti_drift(drive.truth_world_T_cam, world_T_cam)[0]
-    return numbers | {"changed": list(drive.history), "warnings": result.warnings}
+    return numbers | {"changed": list(drive.history), "warnings": [*doubts, *result.warnings]}
 
 
 def _truth_beside(drive, world_T_imu):
@@ -119,21 +119,23 @@ def _strict(value):
     return None if isinstance(value, float) and math.isnan(value) else value
 
 
-def write(result, folder, smoothed=None):
+def write(result, folder, smoothed=None, doubts=()):
     """Write all that `python -m vislam_edu run` promises into an empty folder. Returns the summary.
 
-    summary.json, null for NaN. kitti/trajectory.txt and tum/trajectory.txt, poses of the left camera in the
-    frame of the first one (KITTI's convention). result.npz: poses of the IMU, covariances of right
-    perturbations [position m, rotation rad] (pose_covariance: without calibration error; calibration_covariance: that
-    error alone, where it was asked for), and the landmarks (m, world) that the filter used, with ids and
-    covariances. fig1_... to fig7_... .png. smoothed : `pipeline.Smoothed` or None; its poses and landmarks are then in
-    result.npz too, and fig8_batch.png compares the paths.
+    summary.json, null for NaN, with `doubts` among its warnings. kitti/trajectory.txt and tum/trajectory.txt, poses of
+    the left camera (as mounted, where the pixels were rectified) in the frame of the first one (KITTI's convention).
+    result.npz: poses of the IMU, covariances of right perturbations [position m, rotation rad] (pose_covariance:
+    without calibration error; calibration_covariance: that error alone, where it was asked for), and the landmarks (m,
+    world) that the filter used, with ids and covariances. fig1_... to fig7_... .png. smoothed : `pipeline.Smoothed` or
+    None; its poses and landmarks are then in result.npz too, and fig8_batch.png compares the paths.
     """
     folder, drive, slam = Path(folder), result.drive, result.slam
-    numbers = summary(result, smoothed)
+    numbers = summary(result, smoothed, doubts)
     strict = {key: _strict(value) for key, value in numbers.items()}
     (folder / "summary.json").write_text(json.dumps(strict, indent=2) + "\n", encoding="utf-8")
     poses = _world_T_cam(drive, slam.trajectory)
+    if drive.left_T_cam is not None:
+        poses = drive.left_T_cam @ poses @ se3.inverse(drive.left_T_cam)
     for layout in ("kitti", "tum"):
         (folder / layout).mkdir()
     recordings.save_kitti(folder / "kitti" / "trajectory.txt", poses)

@@ -3,7 +3,7 @@
 import sys
 from pathlib import Path
 
-from .arguments import OptionError, add_recording, number, read_recording, whole
+from .arguments import OptionError, add_recording, ground_truth_doubts, number, read_recording, whole
 
 
 def add_arguments(parser):
@@ -127,7 +127,7 @@ def run(arguments):
             problem = (pipeline.batch_of_real_drive(drive, noise, scale_sigma=0.05) if arguments.audit
                        else batch.Problem(drive, noise))
             smoothed = pipeline.run_batch(problem, result.slam.trajectory.world_T_imu)
-        numbers = outputs.write(result, folder, smoothed)
+        numbers = outputs.write(result, folder, smoothed, ground_truth_doubts(arguments, drive))
     if not arguments.quiet:
         print(outputs.table(numbers))
         print(f"written to {arguments.out}")
