@@ -44,6 +44,8 @@ def load(name, extrinsics: str | None = None) -> Drive:
             raise DriveError("extrinsics: can be chosen only for a file with extL_T_imu and extR_T_imu")
         if "format" in fields:
             return _own_drive(fields)
+        if "cam_imgs_L" in fields:
+            raise DriveError("holds images, not a recording; `vislam_edu track` makes tracks from them")
         name = {"name": path.stem, "source": f"UCSD ECE276A, {path.name}"}
         if newest:
             return _pickled_layout(fields, name, extrinsics)
@@ -163,6 +165,8 @@ def _own_drive(fields):
     camera = _camera(fields.numbers("K"), fields.number("baseline"), fields.numbers("cam_T_imu"))
     values = {key: fields.numbers(key) for key in _OWN_ARRAYS}
     values |= {key: fields.numbers(key) for key in _OWN_OPTIONAL if key in fields}
+    if "left_T_cam" in values:
+        _rigid("left_T_cam", values["left_T_cam"])
     values |= {key: files.shown(fields.text(key)) for key in _OWN_TEXTS}
     values["n_landmarks"] = _count(fields, "n_landmarks")
     history = fields.text("history")
