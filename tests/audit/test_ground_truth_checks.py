@@ -83,6 +83,10 @@ def test_truth_with_a_gap_or_none_is_left_in_peace():
     poses[20:35] = np.nan
     assert doubt(drive.replace(truth_world_T_cam=poses)) is None
     assert doubt(drive.replace(truth_world_T_cam=None, truth_landmarks=None)) is None
+    for unknown in (slice(10, None), slice(None, -10), slice(None, None, 2), slice(1, None)):
+        poses = drive.truth_world_T_cam.copy()
+        poses[unknown] = np.nan
+        assert doubt(drive.replace(truth_world_T_cam=poses)) is None
     assert doubt(drive.slice(0, 1)) is None
     assert doubt(drive.slice(0, 2)) is None
 

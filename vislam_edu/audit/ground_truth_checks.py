@@ -93,10 +93,11 @@ def _slip(truth: np.ndarray, cameras: np.ndarray) -> tuple[str, str] | None:
     """A shift in time, or a missing row, and what undoes it."""
     steps = _between(truth, 1, every=1)
     n, most = len(steps), min(_SHIFTS, len(steps) // 4)
-    if not most:
-        return None
     # The same steps of the cameras for every shift: how noisy they are must not decide
     errors = {s: _errors(steps[most - s:n - most - s], cameras[most:n - most]) for s in range(-most, most + 1)}
+    errors = {s: e for s, e in errors.items() if np.isfinite(e[:, 0]).mean() > 0.5}
+    if 0 not in errors or 1 not in errors:
+        return None  # too few steps are known
     scale = np.min([1.4826 * np.nanmedian(np.abs(e), axis=0) for e in errors.values()], axis=0) + 1e-6
 
     def cost(error: np.ndarray, far: float = 100.0) -> np.ndarray:
@@ -110,8 +111,9 @@ def _slip(truth: np.ndarray, cameras: np.ndarray) -> tuple[str, str] | None:
     # Row m is missing: steps before m - 1 are right, step m - 1 is two of the cameras', and the later ones are shifted
     saved = np.nan_to_num(as_is - double)
     saved[:-1] += np.cumsum(np.nan_to_num(as_is - later)[:0:-1])[::-1]
-    if saved.max() > max(_EVIDENCE, gain[shift]):
-        m = int(saved.argmax()) + 1
+    m = int(saved.argmax()) + 1
+    of_a_row = np.nansum((cost(errors[0], 9) - cost(errors[1], 9))[max(0, m + 1 - most):])  # as `gain` counts
+    if saved.max() > _EVIDENCE and gain[shift] < of_a_row + _EVIDENCE:
         return f"lacks the row of frame {m}, so that all later ones belong to the next frame", "insert that row"
     if gain[shift] > _EVIDENCE:
         return f"is shifted in time, its pose of frame k belongs to frame k{shift:+d}", f"move it by {shift:+d} frames"
