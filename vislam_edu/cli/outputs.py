@@ -37,7 +37,8 @@ def summary(result, smoothed=None, warnings=()) -> dict:
     alignment), ate_m (after SE(3) alignment) and KITTI drift, of the left camera as in the benchmark, NaN for drives
     under 100 m; those of dead reckoning carry its name. With a batch estimate its seconds, iterations and the same
     errors, under its name; `batch` says how it ended and what it claims, see `_ending`. Last, as lists of
-    sentences, changed (what was done to the recording) and warnings (what speaks against the result).
+    sentences, changed (what was done to the recording) and warnings (what speaks against the
+    result, those given first).
     """
     drive, slam = result.drive, result.slam
     numbers = {
@@ -147,8 +148,8 @@ def _strict(value):
 def write(result, folder, smoothed=None, warnings=()):
     """Write all that `python -m vislam_edu run` promises into an empty folder. Returns the summary.
 
-    summary.json, null for NaN. kitti/trajectory.txt and tum/trajectory.txt, poses of the left camera in the
-    frame of the first one (KITTI's convention), and dead_reckoning.txt beside them.
+    summary.json, null for NaN. kitti/trajectory.txt and tum/trajectory.txt, poses of the left camera (as
+    mounted, where the pixels were rectified) in the frame of the first one (KITTI's convention), and dead_reckoning.txt beside them.
     result.npz: poses of the IMU, covariances of right perturbations [position m, rotation rad] (pose_covariance:
     without calibration error; calibration_covariance: that error alone, where it was asked for), and the landmarks (m,
     world) that the filter used, with ids and covariances. fig1_... to fig7_... .png. smoothed : `pipeline.Smoothed` or
@@ -162,6 +163,8 @@ def write(result, folder, smoothed=None, warnings=()):
         (folder / layout).mkdir()
     for name, trajectory in (("trajectory", slam.trajectory), ("dead_reckoning", result.dead_reckoning)):
         poses = _world_T_cam(drive, trajectory)
+        if drive.left_T_cam is not None:
+            poses = drive.left_T_cam @ poses @ se3.inverse(drive.left_T_cam)
         recordings.save_kitti(folder / "kitti" / f"{name}.txt", poses)
         recordings.save_tum(folder / "tum" / f"{name}.txt", drive.times, poses)
     np.savez_compressed(

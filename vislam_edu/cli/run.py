@@ -3,7 +3,7 @@
 import sys
 from pathlib import Path
 
-from .arguments import OptionError, add_recording, number, read_recording, whole
+from .arguments import OptionError, add_recording, ground_truth_doubts, number, read_recording, whole
 
 
 def add_arguments(parser):
@@ -166,7 +166,7 @@ def run(arguments):
             raise DriveError(f"{arguments.recording}: not finite, or with a covariance that is not positive definite: "
                              f"{', '.join(unusable)}; {breakdown.likely_reason(drive, noise)}")
         smoothed = pipeline.run_batch(problem, result.slam.trajectory.world_T_imu) if problem else None
-        numbers = outputs.write(result, folder, smoothed, warnings)
+        numbers = outputs.write(result, folder, smoothed, [*ground_truth_doubts(arguments, drive), *warnings])
     if not arguments.quiet:
         print(outputs.table(numbers))
         print(f"written to {arguments.out}")
