@@ -10,6 +10,7 @@ import numpy as np
 from .. import plots
 from ..drive import Drive
 from ..plots import style
+from ..plots.text import on_a_page
 from . import imu_alignment, imu_timing, track_health
 from .cures import Cure
 from .imu_alignment import Alignment
@@ -153,7 +154,7 @@ class Report:
         lines += ["", style.on_a_page(self._verdict())]
         for i, finding in enumerate(self.findings, start=1):
             future = " (needs the whole drive)" if finding.cure and finding.cure.needs_future else ""
-            lines.append(style.on_a_page(f"{i}. {finding}{future}"))
+            lines.append(on_a_page(f"{i}. {finding}{future}"))
         return "\n".join(lines)
 
     def to_dict(self) -> dict:
