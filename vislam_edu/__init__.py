@@ -1,4 +1,4 @@
-"""Visual-inertial SLAM with an extended Kalman filter, written to be read.
+"""Visual-inertial SLAM with an extended Kalman filter, written to be read. `vislam_edu.course` stands on it.
 
 Conventions, the same in every file and every notebook:
 
@@ -38,14 +38,16 @@ robust                  weights and slipping landmarks for real tracks
 smoother                the final estimate of every landmark
 batch                   the whole drive at once: least squares over poses and landmarks
 association             which landmarks are the same place, and closing the loop
+imu                     a real IMU: gravity, biases, preintegration
+inertial                the joint filter with a real IMU
+lens                    distorted cameras, and the rectified pair
+tracking                from images to tracks
 recordings              room: files
 simulate                room: drives with ground truth
 plots                   room: still pictures
 audit                   room: a recording's sensors compared with each other
 studies                 room: filters over whole drives
 widgets                 room: explorer and panels
-
-The course on top of these, `vislam_edu.course`, is imported by the notebooks alone.
 
 A name is loaded when it is first used, so importing the package costs nothing and changes nothing.
 """
@@ -62,7 +64,10 @@ if TYPE_CHECKING:
         drive,
         ekf_slam,
         error_state,
+        imu,
+        inertial,
         kalman,
+        lens,
         mapping,
         metrics,
         motion,
@@ -76,6 +81,7 @@ if TYPE_CHECKING:
         smoother,
         stereo,
         studies,
+        tracking,
         widgets,
         window_slam,
     )
@@ -87,10 +93,10 @@ if TYPE_CHECKING:
 
 __version__ = "0.2.0"
 __all__ = [
-    "Drive", "Noise", "RightInvariant", "RightPerturbation", "StereoCamera", "association", "audit", "batch", "belief",
-    "drive", "ekf_slam", "error_state", "kalman", "load", "mapping", "metrics", "motion",
-    "noise", "odometry", "plots", "recordings", "robust", "se3", "simulate", "smoother", "stereo", "studies", "widgets",
-    "window_slam",
+    "Drive", "Noise", "RightInvariant", "RightPerturbation", "StereoCamera", "association", "audit", "batch",
+    "belief", "drive", "ekf_slam", "error_state", "imu", "inertial", "kalman", "lens", "load", "mapping", "metrics",
+    "motion", "noise", "odometry", "plots", "recordings", "robust", "se3", "simulate", "smoother", "stereo",
+    "studies", "tracking", "widgets", "window_slam",
 ]
 
 _DEFINED_IN = {"load": "recordings", "Drive": "drive", "Noise": "noise", "StereoCamera": "stereo",

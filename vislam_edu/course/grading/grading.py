@@ -22,8 +22,8 @@ from typing import Any
 
 from ...recordings.files import shown
 from ..checks.check import VERDICTS
-from ..checks.exercise import EXERCISES
 from ..checks.verdict import NOT_WRITTEN, RIGHT, WRONG
+from ..exercises import EXERCISES
 from . import submission
 from .sandbox import Sandbox
 
@@ -37,12 +37,12 @@ _CHAPTER = re.compile(r"(\d\d)_")
 _PASSED_ON = {"PATH", "HOME", "USER", "LANG", "LC_ALL", "TZ", "TMPDIR", "TEMP", "TMP", "SYSTEMROOT", "SYSTEMDRIVE",
               "COMSPEC", "PATHEXT", "USERPROFILE", "APPDATA", "LOCALAPPDATA", "PYTHONPATH", "VIRTUAL_ENV",
               "CONDA_PREFIX", "LD_LIBRARY_PATH", "JUPYTER_PATH", "MPLCONFIGDIR", "XDG_CACHE_HOME"}
-_PACKAGE = str(Path(__file__).resolve().parents[2])
+_PACKAGE = str(Path(__file__).resolve().parents[3])
 # -P: the folder that the grader stands in is not searched. A process between the two: a notebook may end its parent.
 _BETWEEN = [sys.executable, "-I", "-S", "-c", "import subprocess, sys; sys.exit(subprocess.call(sys.argv[1:]) != 0)"]
 _RUN = f"""import sys; from pathlib import Path
 if {_PACKAGE!r} not in sys.path: sys.path.insert(0, {_PACKAGE!r})
-from vislam_edu.course.exercises import submission
+from vislam_edu.course.grading import submission
 submission.run(Path(sys.argv[1]), Path(sys.argv[2]), int(sys.argv[3]))"""
 
 

@@ -1,0 +1,250 @@
+"""From images to tracks: corners, pyramidal Lucas-Kanade, the stereo match, births and ends of tracks.
+
+    for frame in tracking.track(pairs, rig):
+        frame.ids, frame.pixels
+
+Points are pixels (x, y) = (u, v), column first; the centre of the image's first pixel is (0, 0). Images are grey,
+(height, width), of any type of number. Points are followed in the images as they were taken: a distorted camera's
+points are rectified (`lens`), its images never are.
+
+Sources: Shi, Tomasi, Good features to track (1994); Lucas, Kanade, An iterative image registration technique (1981);
+Bouguet, Pyramidal implementation of the Lucas Kanade feature tracker (2000).
+
+>>> import numpy as np
+>>> square = np.zeros((60, 80))
+>>> square[20:40, 30:60] = 200.0
+>>> corners(square, 4).tolist()
+[[31.0, 21.0], [58.0, 21.0], [31.0, 38.0], [58.0, 38.0]]
+"""
+
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy import ndimage
+
+from .lens import Rig
+
+Levels = tuple[np.ndarray, ...]
+Flow = Callable[..., tuple[np.ndarray, np.ndarray]]
+
+HALF = 7  # px: a patch has 2 HALF + 1 = 15 rows and columns, on every level of the pyramid
+_BLUR = np.array([1, 4, 6, 4, 1], np.float32) / 16  # takes away what half as many pixels could not show
+_ITERATIONS, _SMALL_STEP = 15, 0.01  # px; of one level
+_FLAT = 3.0  # grey values squared per px^2, the smaller eigenvalue of the mean structure tensor: too flat to follow
+_MEET = 0.2  # px: forth and back must end this near to the start
+_ALIKE = 0.95  # correlation of the two patches, at least
+_COARSE = 2  # level of the pyramid on which a new point's disparity is searched
+
+
+def pyramid(image: np.ndarray | Levels, levels: int = 6) -> Levels:
+    """The image, then each level half the size of the one before: pixel x of a level is pixel 2 x of the one before.
+
+    image : (h, w), or a pyramid, which comes back as it is. Returns `levels` arrays of float32, fewer for small images.
+    """
+    if isinstance(image, tuple):
+        return image
+    grey = [np.asarray(image, np.float32)]
+    while len(grey) < levels and min(grey[-1].shape) > HALF:
+        rows = ndimage.correlate1d(grey[-1], _BLUR, axis=0, mode="nearest")[::2]
+        grey.append(np.ascontiguousarray(ndimage.correlate1d(rows, _BLUR, axis=1, mode="nearest")[:, ::2]))
+    return tuple(grey)
+
+
+def structure_tensor(image: np.ndarray, size: int = 5) -> np.ndarray:
+    """Mean over a square of the outer product of the gradient with itself: the information of the square's position.
+
+    image : (h, w). size : rows and columns of the square. Returns (h, w, 2, 2), in (grey values / px)^2.
+    """
+    gv, gu = np.gradient(np.asarray(image, np.float32))
+    uu, uv, vv = (ndimage.uniform_filter(product, size, mode="nearest") for product in (gu * gu, gu * gv, gv * gv))
+    return np.stack([uu, uv, uv, vv], axis=-1).reshape(*uu.shape, 2, 2)
+
+
+def smaller_eigenvalue(tensor: np.ndarray) -> np.ndarray:
+    """Of symmetric matrices (..., 2, 2): (...), the information in the direction that is known worst."""
+    a, b, d = tensor[..., 0, 0], tensor[..., 0, 1], tensor[..., 1, 1]
+    return (a + d) / 2 - np.hypot((a - d) / 2, b)
+
+
+def corners(image: np.ndarray | Levels, n: int, distance: int = 10, quality: float = 0.01,
+            taken: ArrayLike = ()) -> np.ndarray:
+    """The n best corners (Shi-Tomasi): where the smaller eigenvalue of the structure tensor is largest.
+
+    distance : px, none is nearer to another one, or to a point of taken (m, 2). quality : smallest eigenvalue that is
+    used, as a share of the image's largest. Returns (n, 2) px, best first, or fewer where there are not so many.
+    """
+    score = smaller_eigenvalue(structure_tensor(pyramid(image)[0]))
+    score[:HALF], score[-HALF:], score[:, :HALF], score[:, -HALF:] = 0, 0, 0, 0
+    best = (score == ndimage.maximum_filter(score, 2 * distance + 1)) & (score > max(quality * score.max(), _FLAT))
+    v, u = np.nonzero(best)
+    order = np.argsort(-score[v, u], kind="stable")
+    points = np.stack([u, v], axis=-1)[order].astype(float)
+    taken = np.reshape(taken, (-1, 2))
+    free = (np.abs(points[:, None] - taken).max(axis=-1, initial=0) > distance).all(axis=1)
+    return points[free][:n]
+
+
+def patches(image: np.ndarray, points: np.ndarray, half: int) -> np.ndarray:
+    """Squares around points, between pixels by bilinear interpolation. points (..., 2) px, inside the image by `half`.
+
+    Returns (..., 2 half + 1, 2 half + 1). All pixels of a patch have the same fraction, so one is blended of four.
+    """
+    whole = np.floor(points)
+    fraction = (points - whole).astype(np.float32)[..., None, None]
+    along = whole.astype(int)[..., None] + np.arange(-half, half + 2)
+    u, v = along[..., 0, :].clip(0, image.shape[1] - 1), along[..., 1, :].clip(0, image.shape[0] - 1)
+    grey = image.ravel()[v[..., :, None] * image.shape[1] + u[..., None, :]]
+    du, dv = fraction[..., 0, :, :], fraction[..., 1, :, :]
+    rows = grey[..., :-1, :] + dv * (grey[..., 1:, :] - grey[..., :-1, :])
+    return rows[..., :-1] + du * (rows[..., 1:] - rows[..., :-1])
+
+
+def inside(image: np.ndarray, points: np.ndarray, margin: int) -> np.ndarray:
+    """(...) bool: which points (..., 2) are so far inside the image that a patch of that half size is. NaN: False."""
+    height, width = image.shape
+    return np.all((points >= margin) & (points < np.array([width, height]) - margin - 1), axis=-1)
+
+
+def lucas_kanade(image: np.ndarray, other: np.ndarray, points: np.ndarray, start: np.ndarray,
+                 margin: int = HALF) -> tuple[np.ndarray, np.ndarray]:
+    """Gauss-Newton on the grey values of one level: points of `image` found in `other`, from `start` on.
+
+    Minimises sum (other(x + d) - image(p + d))^2 over x, d being the pixels of the patch. The gradient g is the patch's
+    own, so A = sum g g^T is made once: x += A^-1 sum g (image - other). The mean difference of brightness is left out.
+    points, start : (n, 2) px. Returns (found (n, 2), ok (n,)).
+    """
+    found = np.array(start, float)
+    ok = inside(image, points, margin) & inside(other, found, margin)
+    wide = patches(image, np.where(ok[:, None], points, 0), HALF + 1)
+    template = wide[:, 1:-1, 1:-1]
+    g = np.stack([wide[:, 1:-1, 2:] - wide[:, 1:-1, :-2], wide[:, 2:, 1:-1] - wide[:, :-2, 1:-1]], axis=-1) / 2
+    g = g - g.mean(axis=(1, 2), keepdims=True)  # a constant added to all grey values then changes nothing
+    A = np.einsum("nijp,nijq->npq", g, g)
+    ok &= smaller_eigenvalue(A) > _FLAT * (2 * HALF + 1)**2
+    A_inverse = np.linalg.inv(np.where(ok[:, None, None], A, np.eye(2)))
+    active = np.flatnonzero(ok)
+    for _ in range(_ITERATIONS):
+        residual = template[active] - patches(other, found[active], HALF)
+        step = np.einsum("npq,nq->np", A_inverse[active], np.einsum("nijp,nij->np", g[active], residual))
+        found[active] += step
+        ok[active] = inside(other, found[active], margin)
+        active = active[ok[active] & (np.abs(step).max(axis=-1) > _SMALL_STEP)]
+        if not active.size:
+            break
+    return found, ok
+
+
+def _one_way(levels: Levels, other: Levels, points: np.ndarray, guess: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """From the coarsest level to the image: each level's result, times two, is the next one's start."""
+    found, ok = np.array(guess, float), np.zeros(len(points), bool)
+    for level in reversed(range(len(levels))):
+        at, start = points / 2**level, found / 2**level
+        result, ok = lucas_kanade(levels[level], other[level], at, start, 0 if level else HALF)
+        found = np.where(ok[:, None], result * 2**level, found)  # what a coarse level loses a finer one may find
+    return found, ok
+
+
+def flow(image: np.ndarray | Levels, other: np.ndarray | Levels, points: ArrayLike,
+         guess: ArrayLike | None = None) -> tuple[np.ndarray, np.ndarray]:
+    """Where points of one image are in another one: pyramidal Lucas-Kanade, checked by going back.
+
+    image, other : (h, w), or their `pyramid`. points : (n, 2) px. guess : (n, 2) px, where in `other` to begin, by
+    default at the points. Returns (found (n, 2) px, ok (n,)). ok is False where a patch leaves an image or has too
+    little texture, where the two patches differ, and where the way back from `found` ends 0.2 px
+    or more from the point.
+    """
+    levels, other_levels, points = pyramid(image), pyramid(other), np.reshape(np.asarray(points, float), (-1, 2))
+    start = points if guess is None else np.reshape(np.asarray(guess, float), (-1, 2))
+    found, ok = _one_way(levels, other_levels, points, start)
+    back, ok_back = _one_way(other_levels, levels, found, points + (found - start))
+    ok &= ok_back & (np.hypot(*(back - points).T) < _MEET)
+    ok[ok] = similarity(levels[0], other_levels[0], points[ok], found[ok]) > _ALIKE
+    return found, ok
+
+
+def similarity(image: np.ndarray, other: np.ndarray, points: np.ndarray, found: np.ndarray) -> np.ndarray:
+    """(n,) correlation of the patches around points (n, 2) px of one image and around `found` (n, 2) of the other."""
+    deviations = [grey - grey.mean(axis=(1, 2), keepdims=True)
+                  for grey in (patches(image, points, HALF), patches(other, found, HALF))]
+    covariance, first, second = (np.einsum("nij,nij->n", a, b) for a, b in ((deviations[0], deviations[1]),
+                                 (deviations[0], deviations[0]), (deviations[1], deviations[1])))
+    return covariance / np.sqrt(first * second + 1e-12)
+
+
+# --- tracks -------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """What one pair of images shows: ids (n,) ascending; left, right (n, 2) px as taken; pixels (n, 4) px, rectified.
+
+    n_landmarks : ids given so far; the next track gets this one.
+    """
+
+    ids: np.ndarray
+    left: np.ndarray
+    right: np.ndarray
+    pixels: np.ndarray
+    n_landmarks: int
+
+
+def search(left: Levels, right: Levels, points: np.ndarray, rig: Rig, nearest: float) -> np.ndarray:
+    """Where in the right image points (n, 2) of the left one may be: the best patch along the epipolar line.
+
+    On a coarse level, patches less their mean are compared at every disparity from 0 to that of `nearest` m. Returns
+    (n, 2) px of the right image, right to a few pixels.
+    """
+    K, level = rig.camera.K, min(_COARSE, len(left) - 1)
+    scale, half = 2**level, HALF // 2 + 1
+    disparities = np.arange(0.0, K[0, 0] * rig.camera.baseline / nearest, scale)
+    rectified_points = rig.left.rectify(points, K)[:, None]
+    candidates = rig.right.unrectify(rectified_points - disparities[:, None] * [1.0, 0.0], K)
+    possible = inside(right[level], candidates / scale, half)
+    template = patches(left[level], points / scale, half)[:, None]
+    compared = patches(right[level], np.where(possible[..., None], candidates / scale, half), half)
+    difference = template - compared
+    cost = np.where(possible, difference.var(axis=(-2, -1)), np.inf)
+    return candidates[np.arange(len(points)), cost.argmin(axis=1)]
+
+
+def track(pairs: Iterable[tuple[np.ndarray, np.ndarray]], rig: Rig, *, visible: int = 150, distance: int = 15,
+          rows_agree: float = 1.0, nearest: float = 2.0, flow: Flow = flow, after: Frame | None = None
+          ) -> Iterator[Frame]:
+    """Turns pairs of images into tracks: yields one `Frame` per pair, in which ids that stay are the same landmark.
+
+    A track ends for good where `flow` loses it, forth and back, from one left image to the next or from left to right,
+    where the rectified rows differ by more than rows_agree px, and where the disparity is not that of a depth beyond
+    `nearest` m. Where tracks are missing, new ones begin, up to `visible`, at least `distance` px from all others.
+    flow : this file's, or a faster one of the same arguments. after : the Frame of an earlier run, to go on from; the
+    first of the pairs is then that frame's, and is not yielded again.
+    """
+    before, last = None, after
+    for pair in pairs:
+        left, right = (pyramid(image) for image in pair)
+        if before is not None or last is None:
+            last = _next_frame(last, before, left, right, rig, visible, distance, rows_agree, nearest, flow)
+            yield last
+        before = left
+
+
+def _next_frame(last, before, left, right, rig, visible, distance, rows_agree, nearest, flow) -> Frame:
+    ids, points, guess, n_landmarks = np.empty(0, int), np.empty((0, 2)), np.empty((0, 2)), 0
+    if last is not None:
+        points, ok = flow(before, left, last.left)
+        ids, guess, points = last.ids[ok], (points + last.right - last.left)[ok], points[ok]
+        n_landmarks = last.n_landmarks
+    missing = visible - len(ids)
+    if missing > visible // 5:
+        new = corners(left, missing, distance, taken=points)
+        ids = np.concatenate([ids, n_landmarks + np.arange(len(new))])
+        points, guess = np.concatenate([points, new]), np.concatenate([guess, search(left, right, new, rig, nearest)])
+    in_right, ok = flow(left, right, points, guess)
+    pixels = rig.measurements(points, in_right)
+    disparity = pixels[:, 0] - pixels[:, 2]
+    ok &= (np.abs(pixels[:, 1] - pixels[:, 3]) <= rows_agree) & (disparity > 0)
+    ok &= disparity < rig.camera.K[0, 0] * rig.camera.baseline / nearest
+    born = ids[ok] >= n_landmarks  # a corner without a match gets no number
+    ids = np.concatenate([ids[ok][~born], n_landmarks + np.arange(born.sum())])
+    return Frame(ids, points[ok], in_right[ok], pixels[ok], n_landmarks + int(born.sum()))
