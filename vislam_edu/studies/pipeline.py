@@ -259,16 +259,13 @@ def collect_slam(drive, steps, error_state, method="slam") -> Slam:
 def world_landmark_covariance(belief, error_state):
     """(n, 3, 3) m^2: covariance of each landmark's position in the world, whatever the filter calls an error.
 
-    With m - m_hat = x_m + C x_pose it is P_mm + C P_pm + P_mp C^T + C P_pp C^T.
+    With m - m_hat = D (x_m + C x_pose) it is D (P_mm + C P_pm + P_mp C^T + C P_pp C^T) D^T.
     """
-    P_mm = belief.landmark_covariance
-    C = error_state.world_landmark(belief.landmarks)
-    if not C.any():
-        return P_mm
-    Ct = np.swapaxes(C, -1, -2)
-    P_mp = belief.covariance[:3 * len(belief.ids), belief.pose].reshape(-1, 3, 6)
-    cross = P_mp @ Ct
-    return P_mm + cross + np.swapaxes(cross, -1, -2) + C @ belief.pose_covariance @ Ct
+    P, C, D = belief.landmark_covariance, error_state.world_landmark(belief.points), error_state.metres(belief.points)
+    if C.any():
+        cross = belief.covariance[:3 * len(belief.ids), belief.pose].reshape(-1, 3, 6) @ C.mT
+        P = P + cross + cross.mT + C @ belief.pose_covariance @ C.mT
+    return D @ P @ D.mT
 
 
 def right_pose_covariance(belief, error_state):
