@@ -178,7 +178,10 @@ def final_map(drive: Drive, noise: Noise, error_state: ErrorState | None = None,
     Raises ValueError for another motion model or for a run that retires nothing.
 
     For `RightPerturbation` the result is that filter's, to rounding. For `RightInvariant` it is to first order: there
-    a correction turns all landmarks about the origin, which is not a sum.
+    a correction turns all landmarks about the origin, which is not a sum. For `InverseDepth` as well: a landmark is
+    corrected in the chart that it had when it retired, which stands still, while the filter that keeps it goes on
+    turning its chart. On simulated streets the two differ by 0.07 sigma (median) and up to 1.3 sigma, neither nearer to
+    the truth (NEES of a landmark 3.43 and 3.49, 3 is right).
     """
     for name in ("motion_model", "retire"):
         if name in options:

@@ -168,8 +168,12 @@ def add_as_report(belief: Belief, ids: np.ndarray, pixels: np.ndarray, settings:
     """New landmarks the report's way: triangulated mean, variance 2 per axis, no correlation with anything.
 
     That counts the pose as known at the moment a landmark is born.
+    Raises ValueError for an error state whose landmarks are not `WorldPoints`.
     Source: report section 3.3.3.
     """
+    if belief.points.ndim != 2:
+        raise ValueError("the report's initialisation gives a landmark a variance per axis of the world; "
+                         f"landmarks of the error state '{settings.error_state.name}' have none")
     points, ok = settings.camera.triangulate(pixels, settings.min_disparity)
     ids = ids[ok]
     landmarks = settings.camera.to_world(belief.world_T_imu, points[ok])
@@ -228,11 +232,12 @@ def run(drive: Drive, noise: Noise, error_state: ErrorState | None = None, *,
         world_T_imu: np.ndarray | None = None, after: Step | None = None) -> Iterator[Step]:
     """The joint filter over a drive: yields one `Step` per frame, its beliefs `Belief`s.
 
-    error_state : `RightPerturbation()` (the report's, the default) or another.
+    error_state : `RightPerturbation()` (the report's, the default), `RightInvariant()` or `InverseDepth()`.
     motion_model : `motion.ImuDriven` (the report's) or `motion.TwistAndBias`. process_frame : what a frame does,
     `correlated` or `as_report`. retire : which landmarks leave the state, `retire_unseen` or `retire_none`.
     associate : what to do about places that the map may hold twice, `keep_apart` or an `association.LoopClosing`.
-    gate : probability that a good measurement passes, 1 for no gate. min_disparity : px, below it a landmark waits.
+    gate : probability that a good measurement passes, 1 for no gate.
+    min_disparity : px, below it a landmark waits for a better view; `InverseDepth` needs no such limit.
     world_T_imu : (4, 4) pose at frame 0, the identity by default.
     after : a Step of an earlier run with the same arguments, to go on from; none: from the beginning.
     Raises ValueError for a gate outside (0, 1] or a negative disparity.

@@ -137,15 +137,16 @@ def test_run_as_a_program_with_a_progress_bar_and_a_printed_summary(recording, t
 @pytest.mark.usefixtures("no_figures")
 @pytest.mark.parametrize("options", [
     ["--error-state", "invariant"],
+    ["--error-state", "right"],
     ["--initialisation", "as-report"],
     ["--report-noise"],
     ["--sigma-px", "2"],
     ["--sigma-v", "0.1"],
     ["--sigma-omega", "0.01"],
     ["--gate", "0.5"],
-    ["--min-disparity", "12"],
+    ["--min-disparity", "12", "--error-state", "cartesian"],
     ["--every", "3"],
-], ids=lambda o: o[0])
+], ids=lambda o: " ".join(o))
 def test_every_option_reaches_the_filter(options, out, recording, tmp_path):
     assert cli.main(["run", str(recording), "--out", str(tmp_path), "--quiet", *options]) == 0
     with np.load(out / "result.npz") as plain, np.load(tmp_path / "result.npz") as changed:
@@ -356,6 +357,8 @@ def bad_files(tmp_path_factory):
     (["run", "good.npz", "--out", "out", "--every", "0"], "--every: 0 is not a whole number of at least 1"),
     (["run", "good.npz", "--out", "out", "--every", "1.5"], "--every: invalid whole number value"),
     (["run", "good.npz", "--out", "out", "--error-state", "left"], "--error-state: invalid choice: 'left'"),
+    (["run", "good.npz", "--out", "out", "--error-state", "inverse-depth", "--initialisation", "as-report"],
+     "as-report gives a landmark 2 m^2 per axis"),
     (["simulate", "--out", "a.npz", "--frames", "3"], "frames"),
     (["simulate", "--out", "a.npz", "--outlier-share", "2"], "--outlier-share"),
     (["simulate", "--out", "a.npz", "--gyro-bias", "nan", "0", "0"], "--gyro-bias"),

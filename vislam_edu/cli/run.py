@@ -11,7 +11,7 @@ def add_arguments(parser):
     add_recording(parser)
     parser.add_argument("--audit", action="store_true",
                         help="audit the recording first, apply the cures found (each is named), and run the filter for "
-                             "real drives: right-invariant, twist and gyro bias estimated, the IMU's noise as "
+                             "real drives: twist and gyro bias estimated, the IMU's noise as "
                              "measured, robust weights, tracks that slip, lengths by the IMU's speed")
     parser.add_argument("--causal", action="store_true",
                         help="with --audit: leave out the cures that need the whole drive")
@@ -32,16 +32,18 @@ def add_arguments(parser):
     noise.add_argument("--report-noise", action="store_true",
                        help="the report's W and V where no other value is given (overconfident: try it)")
     joint = parser.add_argument_group("the joint filter")
-    joint.add_argument("--error-state", choices=("right", "invariant"),
-                       help="what an error is: the report's right perturbation, or the right-invariant error, which "
-                            "does not believe it learned the heading (default: right; invariant with --audit)")
+    joint.add_argument("--error-state", choices=("inverse-depth", "cartesian", "right", "invariant"),
+                       help="what an error is: right-invariant with landmarks of inverse depth, or with points "
+                            "(cartesian, also called invariant), or the report's right perturbation, which believes "
+                            "that it learned the heading (default: inverse-depth; cartesian with --audit; right with "
+                            "--initialisation as-report)")
     joint.add_argument("--initialisation", choices=("correlated", "as-report"), default="correlated",
                        help="covariance of a new landmark: from its triangulation and the pose, or the "
                             "report's 2 I without correlation (default: correlated)")
     joint.add_argument("--gate", type=number(0, 1, low_allowed=False), default=0.99, metavar="P",
                        help="probability that a good measurement is believed; 1: no gate (default: 0.99)")
     joint.add_argument("--min-disparity", type=number(0), default=1.0, metavar="PX",
-                       help="below it a landmark waits for a better view (default: 1 px)")
+                       help="below it a landmark waits for a better view, but for inverse-depth (default: 1 px)")
     joint.add_argument("--every", type=whole(1), default=1, metavar="N",
                        help="use one landmark in N; the report needs 10, this filter does not (default: 1)")
     parser.add_argument("--quiet", action="store_true", help="no progress bar and no summary on the terminal")
@@ -80,6 +82,19 @@ def prepare(arguments):
     return drive.subsample(arguments.every), noise_from(arguments, base), options
 
 
+def error_state_of(arguments):
+    """The `ErrorState` asked for, or what suits the run. Raises OptionError where the initialisation forbids it."""
+    from ..error_state import InverseDepth, RightInvariant, RightPerturbation
+
+    as_report = arguments.initialisation == "as-report"
+    default = "right" if as_report else "cartesian" if arguments.audit else "inverse-depth"
+    name = arguments.error_state or default
+    if as_report and name == "inverse-depth":
+        raise OptionError("run: --initialisation as-report gives a landmark 2 m^2 per axis, which an inverse depth "
+                          "does not have: take --error-state right or cartesian")
+    return {"inverse-depth": InverseDepth, "right": RightPerturbation}.get(name, RightInvariant)()
+
+
 def _on_all_cores():
     """Context in which the runs of `--calibration` share the cores; joblib is imported for it alone."""
     import joblib
@@ -97,24 +112,22 @@ def run(arguments):
 
     from .. import batch, window_slam
     from ..drive import DriveError
-    from ..error_state import RightInvariant, RightPerturbation
     from ..studies import breakdown, pipeline
     from . import outputs
 
     if arguments.causal and not arguments.audit:
         raise OptionError("run: --causal says which cures to apply, so it needs --audit")
+    error_state = error_state_of(arguments)
     drive, noise, options = prepare(arguments)
-    invariant = (arguments.error_state or ("invariant" if arguments.audit else "right")) == "invariant"
-    method = "invariant" if invariant else "report" if arguments.report_noise else "slam"
+    method = "report" if error_state.role == "slam" and arguments.report_noise else error_state.role
     if arguments.initialisation == "as-report":
         options["process_frame"] = window_slam.as_report
     with outputs.appearing_in(arguments.out) as folder:
         try:
             with _on_all_cores() if arguments.calibration else nullcontext():
                 result = pipeline.run_pipeline(
-                    drive, noise, RightInvariant() if invariant else RightPerturbation(), method=method,
-                    gate=arguments.gate, min_disparity=arguments.min_disparity,
-                    consider_calibration=arguments.calibration,
+                    drive, noise, error_state, method=method, gate=arguments.gate,
+                    min_disparity=arguments.min_disparity, consider_calibration=arguments.calibration,
                     progress=partial(tqdm, disable=arguments.quiet), **options)
         except LinAlgError as error:
             raise DriveError(f"{arguments.recording}: the filter broke down ({error}), "
