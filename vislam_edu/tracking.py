@@ -19,6 +19,7 @@ Bouguet, Pyramidal implementation of the Lucas Kanade feature tracker (2000).
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -35,6 +36,8 @@ _ITERATIONS, _SMALL_STEP = 15, 0.01  # px; of one level
 _FLAT = 3.0  # grey values squared per px^2, the smaller eigenvalue of the mean structure tensor: too flat to follow
 _MEET = 0.2  # px: forth and back must end this near to the start
 _ALIKE = 0.95  # correlation of the two patches, at least
+_AFFINE_ITERATIONS = 4
+_GREY_PER_SHEAR = (5.0 / 0.1)**2  # a noise of 5 grey values over a prior of 0.1
 _COARSE = 2  # level of the pyramid on which a new point's disparity is searched
 
 
@@ -117,9 +120,7 @@ def lucas_kanade(image: np.ndarray, other: np.ndarray, points: np.ndarray, start
     """
     found = np.array(start, float)
     ok = inside(image, points, margin) & inside(other, found, margin)
-    wide = patches(image, np.where(ok[:, None], points, 0), HALF + 1)
-    template = wide[:, 1:-1, 1:-1]
-    g = np.stack([wide[:, 1:-1, 2:] - wide[:, 1:-1, :-2], wide[:, 2:, 1:-1] - wide[:, :-2, 1:-1]], axis=-1) / 2
+    template, g = _template(image, np.where(ok[:, None], points, 0))
     g = g - g.mean(axis=(1, 2), keepdims=True)  # a constant added to all grey values then changes nothing
     A = np.einsum("nijp,nijq->npq", g, g)
     ok &= smaller_eigenvalue(A) > _FLAT * (2 * HALF + 1)**2
@@ -136,6 +137,37 @@ def lucas_kanade(image: np.ndarray, other: np.ndarray, points: np.ndarray, start
     return found, ok
 
 
+def affine_correction(image: np.ndarray, other: np.ndarray, points: np.ndarray, found: np.ndarray) -> np.ndarray:
+    """(n, 2) px to add to `found`, where patches may also grow, turn and shear: other(x + M d) for image(p + d).
+
+    A patch that grows pulls the translation towards the side with more texture, the same way in each frame: a track
+    would drift. Six numbers a patch, x and M; a prior holds M within 0.1 of the identity where texture says little.
+    Source: Shi, Tomasi, section 4; Baker, Matthews, Lucas-Kanade 20 years on (2004).
+    """
+    d = np.arange(-HALF, HALF + 1.0)
+    basis = np.stack(np.broadcast_arrays(1.0, d, d[:, None]), axis=-1)  # 1, du, dv of each pixel
+    template, g = _template(image, points)
+    J = (g[..., :, None] * basis[..., None, :].astype(np.float32)).reshape(len(points), -1, 6)
+    A = J.mT @ J + np.diag(np.tile([0.0, _GREY_PER_SHEAR, _GREY_PER_SHEAR], 2))
+    warp = np.zeros((len(points), 2, 3))
+    warp[:, 0, 1] = warp[:, 1, 2] = 1.0
+    start = warp.copy()
+    for _ in range(_AFFINE_ITERATIONS):
+        where = np.moveaxis(found[:, None, None] + np.einsum("nap,ijp->nija", warp, basis), -1, 0)[::-1]
+        residual = template - ndimage.map_coordinates(other, where, order=1, mode="nearest")
+        pull = (J.mT @ residual.reshape(len(points), -1, 1))[..., 0]
+        pull -= _GREY_PER_SHEAR * ((warp - start) * [0, 1, 1]).reshape(-1, 6)
+        warp += np.linalg.solve(A, pull[..., None]).reshape(-1, 2, 3)
+    return np.where(np.hypot(*warp[:, :, 0].T)[:, None] < 1.0, warp[:, :, 0], 0.0)
+
+
+def _template(image: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Patches around points, (n, s, s), and their gradients, (n, s, s, 2)."""
+    wide = patches(image, points, HALF + 1)
+    g = np.stack([wide[:, 1:-1, 2:] - wide[:, 1:-1, :-2], wide[:, 2:, 1:-1] - wide[:, :-2, 1:-1]], axis=-1) / 2
+    return wide[:, 1:-1, 1:-1], g
+
+
 def _one_way(levels: Levels, other: Levels, points: np.ndarray, guess: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """From the coarsest level to the image: each level's result, times two, is the next one's start."""
     found, ok = np.array(guess, float), np.zeros(len(points), bool)
@@ -143,7 +175,8 @@ def _one_way(levels: Levels, other: Levels, points: np.ndarray, guess: np.ndarra
         at, start = points / 2**level, found / 2**level
         result, ok = lucas_kanade(levels[level], other[level], at, start, 0 if level else HALF)
         found = np.where(ok[:, None], result * 2**level, found)  # what a coarse level loses a finer one may find
-    return found, ok
+    found[ok] += affine_correction(levels[0], other[0], points[ok], found[ok])
+    return found, ok & inside(other[0], found, HALF)
 
 
 def flow(image: np.ndarray | Levels, other: np.ndarray | Levels, points: ArrayLike,
@@ -248,3 +281,11 @@ def _next_frame(last, before, left, right, rig, visible, distance, rows_agree, n
     born = ids[ok] >= n_landmarks  # a corner without a match gets no number
     ids = np.concatenate([ids[ok][~born], n_landmarks + np.arange(born.sum())])
     return Frame(ids, points[ok], in_right[ok], pixels[ok], n_landmarks + int(born.sum()))
+
+
+def as_fields(frames: Iterable[Frame]) -> dict[str, Any]:
+    """The frames of `track` as the fields of a `Drive` that tracks make."""
+    seen = list(frames)
+    return {"frame_start": np.cumsum([0, *(len(frame.ids) for frame in seen)]),
+            "landmark": np.concatenate([frame.ids for frame in seen]),
+            "pixels": np.concatenate([frame.pixels for frame in seen]), "n_landmarks": seen[-1].n_landmarks}
