@@ -106,7 +106,7 @@ def lucas_kanade(image: np.ndarray, other: np.ndarray, points: np.ndarray, start
                  margin: int = HALF) -> tuple[np.ndarray, np.ndarray]:
     """Gauss-Newton on the grey values of one level: points of `image` found in `other`, from `start` on.
 
-    Minimises sum (other(x + d) - image(p + d))^2 over x, d the pixels of the patch. The gradient g is that of the image,
+    Minimises sum (other(x + d) - image(p + d))^2 over x, d the pixels of the patch. The gradient g is the image's own,
     so A = sum g g^T is made once: x += A^-1 sum g (image - other). points, start, found : (n, 2) px; ok : (n,).
     """
     found = np.array(start, float)
@@ -138,15 +138,15 @@ def affine(image: np.ndarray, other: np.ndarray, points: np.ndarray, start: np.n
     d = np.arange(-HALF, HALF + 1.0)
     basis = np.stack(np.broadcast_arrays(1.0, d, d[:, None]), axis=-1)  # 1, du, dv of each pixel
     template, g = _template(image, points)
-    J = (g[..., :, None] * basis[..., None, :].astype(np.float32)).reshape(len(points), -1, 6)
+    J = (g[..., :, None] * basis[..., None, :].astype(np.float32)).reshape(len(points), (2 * HALF + 1)**2, 6)
+    J -= J.mean(axis=1, keepdims=True)
     A = J.mT @ J + np.diag(np.tile([0.0, _GREY_PER_SHEAR, _GREY_PER_SHEAR], 2))
-    level = np.broadcast_to(np.eye(2, 3, 1), (len(points), 2, 3))
-    warp = level.copy()
-    warp[:, :, 0] = start
+    level = np.eye(2, 3, 1)  # M = I
+    warp = np.where([True, False, False], start[:, :, None], level)
     prior = _GREY_PER_SHEAR * np.array([0.0, 1.0, 1.0])
     for _ in range(_AFFINE_ITERATIONS):
         seen = ndimage.map_coordinates(other, np.einsum("nap,ijp->anij", warp, basis)[::-1], order=1, mode="nearest")
-        pull = (J.mT @ (template - seen).reshape(len(points), -1, 1))[..., 0]
+        pull = np.einsum("nmk,nm->nk", J, (template - seen).reshape(J.shape[:2]))
         warp = warp + np.linalg.solve(A, (pull - (prior * (warp - level)).reshape(-1, 6))[..., None]).reshape(-1, 2, 3)
     a, b = (patch - patch.mean(axis=(1, 2), keepdims=True) for patch in (template, seen))
     alike = np.einsum("nij,nij->n", a, b) > _ALIKE * np.sqrt((a * a).sum(axis=(1, 2)) * (b * b).sum(axis=(1, 2)))
