@@ -38,6 +38,8 @@ robust                  weights and slipping landmarks for real tracks
 smoother                the final estimate of every landmark
 batch                   the whole drive at once: least squares over poses and landmarks
 association             which landmarks are the same place, and closing the loop
+imu                     a real IMU: gravity, biases, preintegration
+inertial                the joint filter with a real IMU
 lens                    distorted cameras, and the rectified pair
 tracking                from images to tracks
 recordings              room: files
@@ -62,6 +64,8 @@ if TYPE_CHECKING:
         drive,
         ekf_slam,
         error_state,
+        imu,
+        inertial,
         kalman,
         lens,
         mapping,
@@ -89,10 +93,10 @@ if TYPE_CHECKING:
 
 __version__ = "0.2.0"
 __all__ = [
-    "Drive", "Noise", "RightInvariant", "RightPerturbation", "StereoCamera", "association", "audit", "batch", "belief",
-    "drive", "ekf_slam", "error_state", "kalman", "lens", "load", "mapping", "metrics", "motion",
-    "noise", "odometry", "plots", "recordings", "robust", "se3", "simulate", "smoother", "stereo", "studies",
-    "tracking", "widgets", "window_slam",
+    "Drive", "Noise", "RightInvariant", "RightPerturbation", "StereoCamera", "association", "audit", "batch",
+    "belief", "drive", "ekf_slam", "error_state", "imu", "inertial", "kalman", "lens", "load", "mapping", "metrics",
+    "motion", "noise", "odometry", "plots", "recordings", "robust", "se3", "simulate", "smoother", "stereo",
+    "studies", "tracking", "widgets", "window_slam",
 ]
 
 _DEFINED_IN = {"load": "recordings", "Drive": "drive", "Noise": "noise", "StereoCamera": "stereo",

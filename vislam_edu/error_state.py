@@ -15,12 +15,20 @@ from abc import ABC, abstractmethod
 import numpy as np
 
 from . import se3
+from .belief import Belief
 
 
 class ErrorState(ABC):
-    """Interface that every error state implements. n landmarks, m, world frame; errors in m and rad."""
+    """Interface that every error state implements. n landmarks, m, world frame; errors in m and rad.
+
+    role : key of `plots.style.COLOURS` that such a filter is drawn with.
+    landmark_rows, pose_rows : names of the three rows of a landmark and of the six of the pose.
+    """
 
     name: str
+    role = "slam"
+    landmark_rows = ("x", "y", "z")
+    pose_rows = ("forward", "left", "up", "roll", "pitch", "yaw")
 
     @abstractmethod
     def pose_transition(self, after: np.ndarray, increment: np.ndarray,
@@ -56,6 +64,10 @@ class ErrorState(ABC):
     def retract(self, world_T_imu: np.ndarray, landmarks: np.ndarray,
                 delta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The state, pose (4, 4) and landmarks (n, 3), after an error delta (3n+6,) has been estimated."""
+
+    def retract_motion(self, world_T_imu: np.ndarray, values: np.ndarray, delta: np.ndarray) -> np.ndarray:
+        """What a motion model estimates beyond the pose, (t,), after an error delta (6+t,), [pose, motion]: a sum."""
+        return values + delta[6:]
 
     @abstractmethod
     def pose_difference(self, true_world_T_imu: np.ndarray, world_T_imu: np.ndarray) -> np.ndarray:
@@ -145,6 +157,9 @@ class RightInvariant(ErrorState):
     """
 
     name = "right-invariant"
+    role = "invariant"
+    landmark_rows = ("x_m x", "x_m y", "x_m z")
+    pose_rows = ("x_p x", "x_p y", "x_p z", "x_R x", "x_R y", "x_R z")
 
     def pose_transition(self, after: np.ndarray, increment: np.ndarray,
                         body_noise: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -198,3 +213,29 @@ class RightInvariant(ErrorState):
         C = np.eye(6)
         C[:3, 3:] = -se3.so3_hat(world_T_imu[:3, 3])
         return C
+
+
+def world_landmark_covariance(belief: Belief, error_state: ErrorState) -> np.ndarray:
+    """(n, 3, 3) m^2: covariance of each landmark's position in the world, whatever the filter calls an error.
+
+    With m - m_hat = x_m + C x_pose it is P_mm + C P_pm + P_mp C^T + C P_pp C^T.
+    """
+    P_mm = belief.landmark_covariance
+    C = error_state.world_landmark(belief.landmarks)
+    if not C.any():
+        return P_mm
+    Ct = np.swapaxes(C, -1, -2)
+    P_mp = belief.covariance[:3 * len(belief.ids), belief.pose].reshape(-1, 3, 6)
+    cross = P_mp @ Ct
+    return P_mm + cross + np.swapaxes(cross, -1, -2) + C @ belief.pose_covariance @ Ct
+
+
+def to_right(error_state: ErrorState, world_T_imu: np.ndarray) -> np.ndarray:
+    """(6, 6): an error of the pose to the right perturbation that moves it as far, to first order."""
+    return RightPerturbation().world_pose(world_T_imu).T @ error_state.world_pose(world_T_imu)  # two rotations: .T
+
+
+def right_pose_covariance(belief: Belief, error_state: ErrorState) -> np.ndarray:
+    """(6, 6) covariance of the pose as a right perturbation T exp(epsilon^), to first order."""
+    to = to_right(error_state, belief.world_T_imu)
+    return to @ belief.pose_covariance @ to.T

@@ -28,7 +28,8 @@ def retract(belief: Belief, delta: np.ndarray, covariance: np.ndarray, error_sta
     """The belief moved by an estimated error delta (3n+6+t,), with its new covariance."""
     end = belief.pose.stop
     T, landmarks = error_state.retract(belief.world_T_imu, belief.landmarks, delta[:end])
-    return Belief(T, landmarks, belief.ids, covariance, belief.motion + delta[end:])
+    values = error_state.retract_motion(belief.world_T_imu, belief.motion, delta[end - 6:])
+    return Belief(T, landmarks, belief.ids, covariance, values)
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,7 +85,9 @@ def propagate(belief: Belief, transition: Transition) -> Belief:
 
 
 class MotionModel(ABC):
-    """Interface of what moves the car; made of a Drive, a Noise and an `ErrorState`."""
+    """Interface of what moves the car; made of a Drive, a Noise and an `ErrorState`, which it may extend."""
+
+    error_state: ErrorState
 
     @abstractmethod
     def __init__(self, drive: Drive, noise: Noise, error_state: ErrorState) -> None: ...

@@ -249,8 +249,8 @@ def run(drive: Drive, noise: Noise, error_state: ErrorState | None = None, *,
     if not min_disparity >= 0:
         raise ValueError(f"min_disparity must be >= 0 px, got {min_disparity!r}")
     error_state = error_state or RightPerturbation()
-    settings = UpdateSettings(drive.camera, noise, error_state, kalman.gate_threshold(gate), min_disparity)
     model = motion_model(drive, noise, error_state)
+    settings = UpdateSettings(drive.camera, noise, model.error_state, kalman.gate_threshold(gate), min_disparity)
     posterior = after.posterior if after else model.start(world_T_imu)
     # Matrices of a few hundred rows: the threads of one product would wait for each other longer than they work.
     blas = ThreadpoolController()

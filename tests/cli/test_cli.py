@@ -419,7 +419,7 @@ def gap(recording, tmp_path_factory):
     (["--sigma-v", "1e8"], "because the assumed noise is huge: sigma_v is 1e+08"),
     (["--sigma-px", "1e-6"], "because the assumed noise is tiny: sigma_px is 1e-06; assume more"),
     (["--sigma-px", "1e-8", "--initialisation", "as-report"], "because the assumed noise is tiny: sigma_px is 1e-08"),
-    (["gap"], "because of the gap of 1e+06 s after frame 30: cut the recording there")], ids=" ".join)
+    (["gap"], "because of the gap of 1e+06 s after frame 30: use the part before (--to 31) or after")], ids=" ".join)
 def test_a_filter_that_breaks_down_says_what_is_likely(options, reason, recording, gap, tmp_path, capsys):
     path, options = (gap, []) if options == ["gap"] else (recording, options)
     assert cli.main(["run", str(path), "--out", str(tmp_path / "out"), "--quiet", *options]) == 2

@@ -10,6 +10,7 @@ from vislam_edu.course.exercises import EXERCISES
 from vislam_edu.error_state import RightPerturbation
 from vislam_edu.noise import Noise
 from vislam_edu.studies import consistency
+from vislam_edu.studies.runs import attempt
 
 NOISE = Noise(sigma_v=0.3, sigma_omega=0.01)
 KNOWN = {name: piece for name, piece in PIECES.items() if piece.exercise}
@@ -59,9 +60,9 @@ def test_every_piece_but_the_right_one_hangs_in_an_exercise_too():
 
 def test_the_right_one_is_the_package_and_every_mistake_stops_it_or_changes_the_path(drive, start, visits):
     poses = [step.posterior.world_T_imu for step in window_slam.run(drive, NOISE, gate=1, world_T_imu=start)]
-    np.testing.assert_array_equal(visits["right"].world_T_imu, poses)
+    np.testing.assert_array_equal(visits["right"].run.world_T_imu, poses)
     for name in KNOWN:
-        path, stopped = visits[name].world_T_imu, visits[name].stopped
+        path, stopped = visits[name].run.world_T_imu, visits[name].run.stopped
         assert stopped is not None or np.abs(path - poses).max() > 1e-4, name
 
 
@@ -165,15 +166,15 @@ class FallsApart(RightPerturbation):
 
 def test_a_filter_that_falls_apart_is_stopped_and_said_to_diverge(drive, start):
     seen = visit(Piece("falls apart", lambda drive: (drive, {"error_state": FallsApart()})), drive, NOISE, start)
-    assert 0 < seen.stopped < drive.n_frames
-    assert len(seen.world_T_imu) == len(seen.error) == len(seen.nis) == len(seen.nees) == seen.stopped
+    assert 0 < seen.run.stopped < drive.n_frames
+    assert len(seen.run.world_T_imu) == len(seen.error) == len(seen.nis) == len(seen.nees) == seen.run.stopped
     assert seen.lost
     assert seen.numbers[0] == "diverged"
 
 
 def test_numbers_are_two_digits_and_capped_where_they_are_chance():
     def of(error, nis, nees):
-        return Visit("", np.eye(4)[None], np.array([error]), np.array([np.nan, nis]), np.array([nees]), 1.0, None)
+        return Visit("", attempt([]), np.array([error]), np.array([np.nan, nis]), np.array([nees]))
 
     assert of(0.126, 4.14, 363.0).numbers == ("0.13 m", "4.1", "360")
     assert of(9.0, 99.0, 1000.0).numbers == ("9.00 m", "99", "1000")

@@ -17,7 +17,7 @@ import anywidget
 import traitlets
 
 from ..drive import Drive
-from ..error_state import ErrorState, RightInvariant
+from ..error_state import ErrorState, RightPerturbation
 from . import explorer_still, history, packing
 from .canvas import Still
 from .history import History
@@ -196,7 +196,7 @@ def _histories(steps, drive, error_state, world_T_imu, name) -> list[History]:
         raise ValueError(f"an explorer shows one run or two, got {len(runs)}")
     colours: list[str] = []
     for key in runs:
-        role = "invariant" if isinstance(states.get(key), RightInvariant) else "slam"
+        role = (states.get(key) or RightPerturbation()).role
         colours.append("report" if role in colours else role)
     return [history.from_steps(key, one, drive, states.get(key), colour=colour, world_T_imu=world_T_imu)
             for (key, one), colour in zip(runs.items(), colours)]

@@ -13,8 +13,7 @@ import numpy as np
 from .. import kalman, metrics, se3
 from ..belief import Step
 from ..drive import Drive
-from ..error_state import ErrorState, RightInvariant, RightPerturbation
-from ..studies.pipeline import right_pose_covariance, world_landmark_covariance
+from ..error_state import ErrorState, RightPerturbation, right_pose_covariance, to_right, world_landmark_covariance
 from .panels import nis_band
 
 NOBODY = np.empty(0, int)
@@ -308,11 +307,6 @@ def look(step, drive, error_state, pose) -> Sight | None:
                  seen.nis, seen.accepted, pull)
 
 
-def to_right(error_state, world_T_imu):
-    """(6, 6): an error of the pose to the right perturbation that moves it as far, to first order."""
-    return RightPerturbation().world_pose(world_T_imu).T @ error_state.world_pose(world_T_imu)
-
-
 def _pose_and_points(belief, ids, drive, pose):
     """world_T_imu (4, 4) and the landmarks `ids` (n, 3), as this belief has or was given them."""
     if hasattr(belief, "seen"):
@@ -348,10 +342,7 @@ def row_names(snapshots, error_state) -> tuple[list[str], list[str]]:
     sizes = [len(s.covariance) - 3 * len(s.ids) for s in snapshots if s.covariance is not None]
     if not sizes:
         return ["x", "y", "z"], []
-    if isinstance(error_state, RightInvariant):
-        pose = ["x_p x", "x_p y", "x_p z", "x_R x", "x_R y", "x_R z"]
-        return ["x_m x", "x_m y", "x_m z"], pose + MOTION_ROWS[:sizes[0] - 6]
-    return ["x", "y", "z"], ["forward", "left", "up", "roll", "pitch", "yaw", *MOTION_ROWS[:sizes[0] - 6]]
+    return list(error_state.landmark_rows), [*error_state.pose_rows, *MOTION_ROWS[:sizes[0] - 6]]
 
 
 def describe(before: Snapshot | None, now: Snapshot, estimates_pose: bool) -> str:

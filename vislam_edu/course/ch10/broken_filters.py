@@ -10,10 +10,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import block_diag
 
-from ... import metrics, motion, se3, window_slam
+from ... import motion, se3, window_slam
 from ...error_state import RightPerturbation
 from ...plots import style
 from ...stereo import StereoCamera
+from ...studies.runs import Run, attempt
 
 # --- the camera ---------------------------------------------------------------------------------------------
 
@@ -214,24 +215,21 @@ _NIS, _NEES = 100, 1000  # above, a number tells nothing more: it depends on the
 class Visit:
     """What a piece did on the drive, frame by frame, as far as it came.
 
-    title : of the piece. world_T_imu : (T, 4, 4). error : (T,) m, distance from the truth. nis : (T,), mean over
-    the measurements of a frame, 4 if the filter is honest, NaN where it predicted none. nees : (T,) of the pose, 6
-    if the filter is honest, infinite where its covariance is not positive definite. used : share of the measurements
-    that passed the gate. stopped : the frame at which it could not go on, or None.
+    title : of the piece. run : `Run`. error : (T,) m, distance from the truth. nis : (T,), mean over the measurements
+    of a frame, 4 if the filter is honest, NaN where it predicted none. nees : (T,) of the pose, 6 if the filter is
+    honest, infinite where its covariance is not positive definite.
     """
 
     title: str
-    world_T_imu: np.ndarray
+    run: Run
     error: np.ndarray
     nis: np.ndarray
     nees: np.ndarray
-    used: float
-    stopped: int | None
 
     @property
     def lost(self) -> bool:
         """Whether it stopped or was ever `LOST` metres from the truth."""
-        return self.stopped is not None or self.error.max() > LOST
+        return self.run.problem is not None or self.error.max() > LOST
 
     @property
     def rmse(self) -> float:
@@ -257,29 +255,7 @@ def visit(piece, drive, noise, world_T_imu, gate=1) -> Visit:
     what was before.
     """
     drive, arguments = piece.applied_to(drive)
-    steps, stopped = [], None
     with np.errstate(all="ignore"):
-        try:
-            for step in window_slam.run(drive, noise, gate=gate, world_T_imu=world_T_imu, **arguments):
-                if not np.isfinite(step.posterior.world_T_imu).all():
-                    raise np.linalg.LinAlgError("the pose is not a number")
-                steps.append(step)
-        except np.linalg.LinAlgError:
-            stopped = len(steps)
-        beliefs = [step.posterior for step in steps]
-        poses = np.array([belief.world_T_imu for belief in beliefs])
-        truth = drive.true_world_T_imu[:len(poses)]
-        nis = [step.innovation.nis[np.isfinite(step.innovation.nis)] for step in steps]
-        accepted = np.concatenate([step.innovation.accepted for step in steps])
-        return Visit(piece.title, poses, metrics.position_errors(truth, poses),
-                     np.array([values.mean() if values.size else np.nan for values in nis]),
-                     np.array([_nees(true, belief) for true, belief in zip(truth, beliefs)]),
-                     float(accepted.mean()) if accepted.size else np.nan, stopped)
-
-
-def _nees(true_world_T_imu, belief) -> float:
-    error = RightPerturbation().pose_difference(true_world_T_imu, belief.world_T_imu)
-    try:
-        return float(metrics.nees(error, belief.pose_covariance))
-    except np.linalg.LinAlgError:
-        return np.inf
+        run = attempt(window_slam.run(drive, noise, gate=gate, world_T_imu=world_T_imu, **arguments))
+        true = drive.true_world_T_imu
+        return Visit(piece.title, run, run.errors(true), run.frame_nis, run.nees(true))
