@@ -70,7 +70,7 @@ class StreetImages:
         return images[0], images[1]
 
     def render(self, k: int, side: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
-        """Grey values without noise and depths (m, inf in the sky) of a camera `side` m to the right, (height, width)."""
+        """Grey values without noise and depths, m: (height, width), of a camera `side` m to the right."""
         width, height = self.size
         v, u = np.mgrid[:height, :width].astype(float)
         return self.look(k, np.stack([u, v], axis=-1), side)
@@ -95,8 +95,8 @@ class StreetImages:
         """Depths (...) along rays (..., 3) to ground, block or outer walls, inf where none, and the axis each faces."""
         with np.errstate(divide="ignore", invalid="ignore"):
             ground = np.where(ray[..., 2] < 0, (_GROUND - origin[2]) / ray[..., 2], np.inf)
-            slabs = [np.sort([(low - origin[:2]) / ray[..., :2], (high - origin[:2]) / ray[..., :2]], axis=0)
-                     for low, high in ((self.low + _WIDTH, self.high - _WIDTH), (self.low - _WIDTH, self.high + _WIDTH))]
+            slabs = [np.sort([(self.low + width - origin[:2]) / ray[..., :2],
+                              (self.high - width - origin[:2]) / ray[..., :2]], axis=0) for width in (_WIDTH, -_WIDTH)]
         enter, leave = slabs[0][0].max(axis=-1), slabs[0][1].min(axis=-1)
         block = np.where((enter < leave) & (enter > 0), enter, np.inf)
         walls = slabs[1][1].min(axis=-1)
@@ -132,14 +132,14 @@ def street_images(seed: int = 0, *, frames: int = 100, tau: float = 0.1, speed: 
                   camera: StereoCamera | None = None, size: tuple[int, int] = SMALL) -> StreetImages:
     """Images along `frames` frames of a flat street loop of 400 m; the same seed gives the same ones.
 
-    tau : s between frames. speed : m/s, on average. sigma_grey : grey values. camera, size : by default `small_camera()`
-    and its (width, height), px.
+    tau : s between frames. speed : m/s, on average. sigma_grey : grey values. camera, size : by default
+    `small_camera()` and its (width, height), px.
     """
     camera = small_camera() if camera is None else camera
     loop_length = max(drives.SHORTEST_LOOP, speed * tau * frames)
     drive = drives.perfect_street_loop(seed, frames=frames, tau=tau, speed=speed, hills=0.0, camera=camera,
                                        loop_length=loop_length, image_size=size, name="street images")
-    drive = drive.keep_landmarks(np.zeros(drive.n_landmarks, bool))
+    drive = drive.keep_landmarks(np.zeros(drive.n_landmarks, bool)).replace(truth_landmarks=None)
     lap = np.array(streets.centre_line(loop_length)[3:])
     return StreetImages(drive, size, seed, sigma_grey, lap.min(axis=1), lap.max(axis=1))
 
