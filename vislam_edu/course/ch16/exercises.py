@@ -168,8 +168,8 @@ def _(J, first_pose, first_landmark, pose, landmark):
     return first_estimates_jacobian.reference(J, first_pose, landmark, pose, landmark)
 
 
-@first_estimates_jacobian.mistake("pose as now estimated", """The pose too: its point is the prediction, whatever an update
-has made of it since.""")
+@first_estimates_jacobian.mistake("pose as now estimated", """The pose too: its point is the prediction, whatever
+an update has made of it since.""")
 def _(J, first_pose, first_landmark, pose, landmark):
     return first_estimates_jacobian.reference(J, pose, first_landmark, pose, landmark)
 

@@ -72,4 +72,4 @@ class GrowthPicture(Picture):
 
     def alt(self, **state):
         """The picture in words."""
-        return "Standard deviation of the position of an IMU alone through time, in two curves. " + self.caption(**state)
+        return "Standard deviation of the position of an IMU alone through time, two curves. " + self.caption(**state)
