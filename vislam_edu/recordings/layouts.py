@@ -97,7 +97,7 @@ def load_ground_truth(path, drive) -> Drive:
     """
     path = Path(path)
     with files.errors_name(path):
-        rows = _read_rows(path)
+        rows = rows_of_numbers(path)
         if rows.shape[1] == 12:
             poses = _kitti_poses(rows, drive)
         elif rows.shape[1] == 8:
@@ -236,7 +236,7 @@ def _camera(K, baseline, cam_T_imu, key="K"):
         raise DriveError(str(error) if key == "K" else f"{key}: {error}") from None
 
 
-def _read_rows(path):
+def rows_of_numbers(path):
     rows = []
     with files.open_regular(path) as file:
         text = file.read(_LARGEST_TEXT + 1)
