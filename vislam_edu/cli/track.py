@@ -10,8 +10,8 @@ _STORE_EVERY = 100  # pairs between two states written, from which an interrupte
 def add_arguments(parser):
     """The options of `track`. parser : argparse.ArgumentParser."""
     parser.add_argument("images", nargs="+", type=Path, metavar="IMAGES",
-                        help="a folder of KITTI's or EuRoC's layout, two folders (left, right), the course's _imgs.npy, "
-                             "or two videos (these need imageio)")
+                        help="a folder of KITTI's or EuRoC's layout, two folders (left, right), the course's "
+                             "_imgs.npy, or two videos (these need imageio)")
     parser.add_argument("--calibration", nargs="+", type=Path, required=True, metavar="FILE",
                         help="KITTI's calib.txt, EuRoC's two yaml files (left, right), or a recording of the course")
     parser.add_argument("--imu", type=Path, required=True, metavar="FILE",
@@ -86,8 +86,10 @@ def _store(path, frames):
 
     with files.replacing(path) as file:
         np.savez(file, count=[len(frame.ids) for frame in frames], n_landmarks=[frame.n_landmarks for frame in frames],
-                 **{key: np.concatenate([getattr(frame, key) for frame in frames])
-                    for key in ("ids", "left", "right", "pixels")})
+                 ids=np.concatenate([frame.ids for frame in frames]),
+                 left=np.concatenate([frame.left for frame in frames]),
+                 right=np.concatenate([frame.right for frame in frames]),
+                 pixels=np.concatenate([frame.pixels for frame in frames]))
 
 
 def _stored(path, most):
@@ -104,5 +106,5 @@ def _stored(path, most):
         ends = np.cumsum(fields.numbers("count"))[:-1]
         if len(ends) + 1 > most:
             raise DriveError("is the state of a longer recording; delete it, or write to another name")
-        parts = [np.split(fields.numbers(key), ends) for key in ("ids", "left", "right", "pixels")]
-        return [Frame(*arrays, int(n)) for *arrays, n in zip(*parts, fields.numbers("n_landmarks"))]
+        ids, left, right, pixels = (np.split(fields.numbers(key), ends) for key in ("ids", "left", "right", "pixels"))
+        return list(map(Frame, ids, left, right, pixels, fields.numbers("n_landmarks").tolist()))

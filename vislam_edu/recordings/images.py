@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -98,7 +99,7 @@ def _course(path: Path) -> Pairs:
     else:
         file.seek(0)
     left, right = unpickling.load_lists(file, "cam_imgs_L", "cam_imgs_R")
-    return Pairs(list(zip(left, right, strict=False)), None)
+    return Pairs(list(zip(left, right)), None)
 
 
 def _videos(left: Path, right: Path) -> Pairs:
@@ -108,8 +109,9 @@ def _videos(left: Path, right: Path) -> Pairs:
         raise DriveError("reading videos needs an optional package: python -m pip install 'imageio[pyav]'; or unpack "
                          "them into two folders of images") from None
     n = min(iio.improps(path, plugin="pyav").shape[0] for path in (left, right))
-    return Pairs([tuple(lambda path=path, k=k: iio.imread(path, index=k, plugin="pyav") for path in (left, right))
-                  for k in range(n)], None)
+    left_readers, right_readers = ([partial(iio.imread, path, index=k, plugin="pyav") for k in range(n)]
+                                   for path in (left, right))
+    return Pairs(list(zip(left_readers, right_readers)), None)
 
 
 def open_calibration(paths: Sequence[Path]) -> tuple[lens.Rig, Callable[..., Drive]]:
