@@ -16,13 +16,18 @@ def street():
     return images.street_images(2, frames=N)
 
 
+@pytest.fixture(scope="module")
+def pairs(street):
+    return list(street)
+
+
 @pytest.fixture
-def kitti(street, tmp_path):
+def kitti(street, pairs, tmp_path):
     """KITTI's layout, with the IMU in a text file."""
     for side in (0, 1):
         (tmp_path / f"image_{side}").mkdir()
         for k in range(N):
-            Image.fromarray(street[k][side]).save(tmp_path / f"image_{side}" / f"{k:06d}.png")
+            Image.fromarray(pairs[k][side]).save(tmp_path / f"image_{side}" / f"{k:06d}.png")
     drive = street.drive
     np.savetxt(tmp_path / "times.txt", drive.times)
     np.savetxt(tmp_path / "imu.txt", np.column_stack([drive.times, drive.twists]))
@@ -71,7 +76,7 @@ def test_interrupted_and_resumed_is_the_same(kitti, monkeypatch):
     assert np.array_equal(load(kitti / "drive.npz").pixels, whole.pixels)
 
 
-def test_the_courses_lists_of_images(street, tmp_path):
+def test_the_courses_lists_of_images(street, pairs, tmp_path):
     drive = street.drive
     imu_T_left = drive.camera.imu_T_cam @ np.linalg.inv(extrinsics.REGULAR_T_OPTICAL)
     left_T_right = np.eye(4)
@@ -80,7 +85,6 @@ def test_the_courses_lists_of_images(street, tmp_path):
               "K_l": drive.camera.K, "K_r": drive.camera.K, "extL_T_imu": imu_T_left,
               "extR_T_imu": imu_T_left @ left_T_right}
     np.save(tmp_path / "dataset02.npy", np.array(course, dtype=object))
-    pairs = [street[k] for k in range(N)]
     lists = {"cam_imgs_L": [pair[0] for pair in pairs], "cam_imgs_R": [np.stack([pair[1]] * 3, -1) for pair in pairs]}
     np.save(tmp_path / "dataset02_imgs.npy", np.array(lists, dtype=object))
     assert cli.main(command(tmp_path, tmp_path / "dataset02_imgs.npy", calibration="dataset02.npy",

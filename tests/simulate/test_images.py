@@ -10,7 +10,7 @@ from vislam_edu.studies import consistency
 
 @pytest.fixture(scope="module")
 def street():
-    return images.street_images(1, frames=60)
+    return images.street_images(1, frames=40)
 
 
 @pytest.fixture(scope="module")
@@ -31,7 +31,7 @@ def test_depth_is_where_the_other_camera_sees_the_same_grey_value(street):
 
 
 def test_images_are_reproducible_and_noisy(street):
-    first, second = street[5], images.street_images(1, frames=60)[5]
+    first, second = street[5], images.street_images(1, frames=40)[5]
     assert np.array_equal(first[0], second[0])
     noise = first[0] - np.clip(street.render(5)[0], 0, 255)
     assert noise.std() == pytest.approx(2.0, abs=0.15)

@@ -164,11 +164,13 @@ def fit(steps, measured, seen, covariance, imu_R_cam=None) -> Alignment:
     R = _start(measured, seen) if imu_R_cam is None else imu_R_cam
     p, b, scales = np.zeros(3), np.zeros(3), _start_scales(measured, seen, R)
     for _ in range(_ITERATIONS):
-        predicted, jacobian = _model(seen, R, p, b, scales)
-        residual = measured - predicted
+        residual = measured - _model(seen, R, p, b, scales)[0]
         cameras = _camera_variance(R, p, covariance)
         sigma, inlier = _imu_noise(residual, cameras)
         weight = inlier / (sigma**2 + cameras)
+        # At the noisy twists the Jacobian's own noise would draw the scales towards zero (errors in variables)
+        Ad = se3.adjoint(se3.pose(R, p)) * np.repeat(scales, 3)[:, None]
+        _, jacobian = _model(seen + np.matvec(covariance @ Ad.T, residual * weight), R, p, b, scales)
         weighted = jacobian * weight[..., None]
         information = np.einsum("kai,kaj->ij", weighted, jacobian, optimize=True) + _PRIOR
         gradient = np.einsum("kai,ka->i", weighted, residual)

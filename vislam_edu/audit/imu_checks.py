@@ -20,6 +20,7 @@ MIN_LEVER_ARM = 0.1  # m
 MIN_MISALIGNMENT = np.radians(2.0)
 MIN_SCALE = 0.02  # of the speed; twice that of the gyro
 CAMERAS_SCALE = 0.03  # what the calibration of a stereo pair may be off by; more is a fault of the IMU's speed
+MOST_SCALE = 1.3  # no speed sensor and no gyro is wrong by more, either way
 MIN_GYRO_BIAS = 1e-3  # rad/s: 3 degrees of heading a minute
 
 _READINGS = {"k": 0.0, "mean": -0.5, "k+1": -1.0}  # which step k + s sample k is read for
@@ -176,6 +177,9 @@ def scale_conflict(drive, alignment):
             f"the IMU is right, baseline or focal length are off by {100 * (scale - 1):+.1f} % and the drive is about "
             f"{by_imu:.0f} m long; if the cameras are, the IMU's speed is wrong by as much and it is "
             f"{by_imu / scale:.0f} m long")
+    if beyond_sensors(scale):
+        yield _contradiction("scale conflict", scale, p, text)
+        return
     if abs(scale - 1) > CAMERAS_SCALE:
         factors = np.r_[[scale] * 3, np.ones(3)]
         cure = cures.scale_imu(factors, f"speed divided by {scale:.4f}")
@@ -188,12 +192,25 @@ def scale_conflict(drive, alignment):
 def gyro_scale(drive, alignment):
     """A gyro that measures too much or too little throughout."""
     scale, p = alignment.gyro_scale, alignment.p_value(GYRO_SCALE, alignment.gyro_scale - 1)
-    if p < SIGNIFICANCE and abs(scale - 1) > 2 * MIN_SCALE:
+    if p < SIGNIFICANCE and beyond_sensors(scale):
+        yield _contradiction("gyro scale", scale, p, f"the IMU's gyro is {scale:.3f} times the cameras'")
+    elif p < SIGNIFICANCE and abs(scale - 1) > 2 * MIN_SCALE:
         yield Finding(
             "gyro scale", scale, "IMU / cameras", chance(p), f"the IMU's gyro is {scale:.3f} times the cameras'",
             cures.scale_imu(np.r_[np.ones(3), [scale] * 3], f"gyro divided by {scale:.4f}"),
             f"divide the gyro by {scale:.3f}",
         )  # fmt: skip
+
+
+def beyond_sensors(scale) -> bool:
+    """Whether a scale is no fault of a sensor: units, times or calibration of the file are wrong."""
+    return not 1 / MOST_SCALE < scale < MOST_SCALE
+
+
+def _contradiction(fault, scale, p, text):
+    return Finding(fault, scale, "IMU / cameras", chance(p), f"{text}; no sensor is that wrong", None,
+                   "nothing is cured: compare K, the image size, the units and the times of the file with its source",
+                   whole=True)
 
 
 def gyro_bias(drive, alignment):

@@ -162,8 +162,8 @@ def open_fields(path):
                 raise DriveError(f"is {what}")
         try:
             archive = zipfile.ZipFile(file)
-        except Exception as error:  # a damaged archive can raise anything
-            raise DriveError(f"neither an npz nor a npy file, or cut short ({type(error).__name__})") from None
+        except Exception:  # a damaged archive can raise anything
+            raise DriveError("neither an npz nor a npy file, or cut short") from None
         with archive:
             yield Fields(_Members(archive))
 

@@ -87,7 +87,7 @@ def _times(folder: Path, names: list[str]) -> np.ndarray | None:
         return np.array([int(name) for name in names]) / 1e9
     for path in (folder / "times.txt", folder.parent / "times.txt"):
         if path.is_file():
-            return layouts.rows_of_numbers(path)[:len(names), 0]
+            return layouts.rows_of_numbers(path)[0][:len(names), 0]
     return None
 
 
@@ -169,7 +169,10 @@ def _course_calibration(path: Path) -> tuple[lens.Rig, Callable[..., Drive]]:
 
 def _kitti(path: Path) -> lens.Rig:
     lines = [line.split(":")[-1].split() for line in path.read_text(encoding="utf-8").splitlines() if line.strip()]
-    left, right = (np.array(words, float).reshape(3, 4) for words in lines[:2])
+    try:
+        left, right = (np.array(words, float).reshape(3, 4) for words in lines[:2])
+    except ValueError:
+        raise DriveError("expected KITTI's calib.txt, whose first two lines, P0 and P1, hold 12 numbers each") from None
     K = left[:, :3]
     cam_T_imu = se3.inverse(extrinsics.REGULAR_T_OPTICAL)
     return lens.Rig(lens.Lens(K), lens.Lens(right[:, :3]),
@@ -205,7 +208,7 @@ def open_imu(path: Path) -> tuple[np.ndarray, np.ndarray]:
                 v, w = (fields.numbers(fields.key(*keys)) for keys in (
                     ("v_t", "linear_velocity"), ("w_t", "angular_velocity", "rotational_velocity")))
             return times, np.hstack([one if one.shape == (times.size, 3) else one.T for one in (v, w)])
-        rows = layouts.rows_of_numbers(path)
+        rows, _ = layouts.rows_of_numbers(path)
         if rows.shape[1] != 7:
             raise DriveError(f"{rows.shape[1]} numbers a row, expected 7: time, linear velocity, angular velocity")
         return rows[:, 0] / (1e9 if rows[0, 0] > 1e14 else 1.0), rows[:, 1:]
