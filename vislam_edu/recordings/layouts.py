@@ -101,7 +101,7 @@ def load_ground_truth(path, drive) -> Drive:
     """
     path = Path(path)
     with files.errors_name(path):
-        rows, commas = _read_rows(path)
+        rows, commas = rows_of_numbers(path)
         if commas and rows.shape[1] in (8, 17):
             rows = np.column_stack([rows[:, 0] / 1e9, rows[:, 1:4], rows[:, 5:8], rows[:, 4]])
             poses = _tum_poses(rows, drive) @ drive.camera.imu_T_cam
@@ -247,7 +247,7 @@ def _camera(K, baseline, cam_T_imu, key="K"):
         raise DriveError(str(error) if key == "K" else f"{key}: {error}") from None
 
 
-def _read_rows(path):
+def rows_of_numbers(path):
     """The numbers of a text file (n, m), and whether commas separate them."""
     rows, commas = [], False
     with files.open_regular(path) as file:

@@ -12,7 +12,7 @@ from functools import cached_property
 import numpy as np
 from scipy import ndimage
 
-from .. import se3
+from .. import se3, stereo
 from ..drive import Drive
 from ..lens import Lens, Rig
 from ..stereo import StereoCamera
@@ -80,8 +80,7 @@ class StreetImages:
         assert self.drive.truth_world_T_cam is not None
         K, world_T_cam = self.drive.camera.K, self.drive.truth_world_T_cam[k]
         origin = se3.transform(world_T_cam, np.array([side, 0.0, 0.0]))
-        cam_ray = np.concatenate([(pixels - K[:2, 2]) / np.diag(K)[:2], np.ones(pixels.shape[:-1] + (1,))], axis=-1)
-        ray = cam_ray @ world_T_cam[:3, :3].T
+        ray = stereo.bearing(K, pixels) @ world_T_cam[:3, :3].T
         depth, axis = self._first_surface(origin, ray)
         hit = np.isfinite(depth)
         point = origin + np.where(hit, depth, 0.0)[..., None] * ray
@@ -106,9 +105,8 @@ class StreetImages:
             candidates.append(np.where(up < top, depth, np.inf))
         axes = np.stack([np.full(ground.shape, 2), slabs[0][0].argmax(axis=-1), slabs[1][1].argmin(axis=-1)])
         nearest = np.argmin(candidates, axis=0)
-        pick = nearest[None]
-        return (np.take_along_axis(np.stack(candidates), pick, axis=0)[0],
-                np.take_along_axis(axes, pick, axis=0)[0])
+        depth, axis = (np.take_along_axis(values, nearest[None], axis=0)[0] for values in (np.array(candidates), axes))
+        return depth, axis
 
     @cached_property
     def _octaves(self) -> np.ndarray:
@@ -146,13 +144,13 @@ def street_images(seed: int = 0, *, frames: int = 100, tau: float = 0.1, speed: 
 
 def with_true_landmarks(images: StreetImages, drive: Drive) -> Drive:
     """The drive, tracked in these images, with the truth: each landmark is the place that its first look shows."""
-    landmarks = np.full((drive.n_landmarks, 3), np.nan)
+    landmarks, poses = np.full((drive.n_landmarks, 3), np.nan), images.drive.truth_world_T_cam
+    assert poses is not None
     for k in range(drive.n_frames):
         ids, pixels = drive.observed(k)
         new = drive.first_seen[ids] == k
         depth = images.look(k, pixels[new, :2])[1]
-        K, world_T_cam = images.drive.camera.K, images.drive.truth_world_T_cam[k]
-        rays = np.concatenate([(pixels[new, :2] - K[:2, 2]) / np.diag(K)[:2], np.ones((new.sum(), 1))], axis=-1)
-        landmarks[ids[new]] = se3.transform(world_T_cam, depth[:, None] * rays)
-    landmarks[~np.isfinite(landmarks).all(axis=1)] = np.nan
-    return drive.replace(truth_world_T_cam=images.drive.truth_world_T_cam, truth_landmarks=landmarks)
+        K = images.drive.camera.K
+        rays = stereo.bearing(K, pixels[new, :2])
+        landmarks[ids[new]] = se3.transform(poses[k], np.where(np.isfinite(depth), depth, np.nan)[:, None] * rays)
+    return drive.replace(truth_world_T_cam=poses, truth_landmarks=landmarks)
