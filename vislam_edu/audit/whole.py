@@ -68,14 +68,14 @@ def explained(report: Report, judge: Callable[[Drive], Report]) -> Report:
     """
     drive, best = report.drive, report
     now, cured = unexplained(drive), unexplained(report.cured())
-    limit = CERTAIN * now if report.unjudged else min(BETTER * now, AS_GOOD * cured)
+    limit = CERTAIN * now if report.alignment is None else min(BETTER * now, AS_GOOD * cured)
     trials = sorted(((unexplained(cure(drive)), i, fault, cure, advice)
                      for i, (fault, cure, advice) in enumerate(candidates(drive))), key=lambda trial: trial[:2])
     for score, _, fault, cure, advice in trials[:_TRIED]:
         if score > limit:
             break
         other = judge(drive.apply(cure))
-        if not other.unjudged and (best.unjudged or len(other.findings) < len(best.findings)):
+        if other.alignment is not None and (best.alignment is None or len(other.findings) < len(best.findings)):
             what, to_do = advice.split(": ", 1)
             finding = _finding(fault, score, "of the motion unexplained",
                                f"{what}; read so, the IMU explains all but {score:.0%} of the tracks' motion, as the "
