@@ -177,7 +177,7 @@ def scale_conflict(drive, alignment):
             f"the IMU is right, baseline or focal length are off by {100 * (scale - 1):+.1f} % and the drive is about "
             f"{by_imu:.0f} m long; if the cameras are, the IMU's speed is wrong by as much and it is "
             f"{by_imu / scale:.0f} m long")
-    if beyond_sensors(scale):
+    if not 1 / MOST_SCALE < scale < MOST_SCALE:
         yield _contradiction("scale conflict", scale, p, text)
         return
     if abs(scale - 1) > CAMERAS_SCALE:
@@ -192,7 +192,7 @@ def scale_conflict(drive, alignment):
 def gyro_scale(drive, alignment):
     """A gyro that measures too much or too little throughout."""
     scale, p = alignment.gyro_scale, alignment.p_value(GYRO_SCALE, alignment.gyro_scale - 1)
-    if p < SIGNIFICANCE and beyond_sensors(scale):
+    if p < SIGNIFICANCE and not 1 / MOST_SCALE < scale < MOST_SCALE:
         yield _contradiction("gyro scale", scale, p, f"the IMU's gyro is {scale:.3f} times the cameras'")
     elif p < SIGNIFICANCE and abs(scale - 1) > 2 * MIN_SCALE:
         yield Finding(
@@ -200,11 +200,6 @@ def gyro_scale(drive, alignment):
             cures.scale_imu(np.r_[np.ones(3), [scale] * 3], f"gyro divided by {scale:.4f}"),
             f"divide the gyro by {scale:.3f}",
         )  # fmt: skip
-
-
-def beyond_sensors(scale) -> bool:
-    """Whether a scale is no fault of a sensor: units, times or calibration of the file are wrong."""
-    return not 1 / MOST_SCALE < scale < MOST_SCALE
 
 
 def _contradiction(fault, scale, p, text):
@@ -226,8 +221,8 @@ def gyro_bias(drive, alignment):
 
 def facts(timing, alignment):
     """What timing and alignment measure whether anything is wrong or not, by name."""
-    return {
-        "IMU sample k fits step k + s best for s": "{:.2f} +- {:.2f}".format(*timing.peak),
+    facts = {"IMU sample k fits step k + s best for s": "{:.2f} +- {:.2f}".format(*timing.peak)} if timing else {}
+    return facts | {
         "camera in the IMU frame [m]": f"{_list(alignment.camera_in_imu, 2)} "
                                        f"+- {_list(alignment.sigma(LEVER_ARM), 2)}",
         "gyro bias [rad/s]": f"{_list(alignment.gyro_bias, 4)} +- {_list(alignment.sigma(GYRO_BIAS), 4)}",

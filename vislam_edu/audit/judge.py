@@ -22,6 +22,7 @@ from . import (
     imu_timing,
     innovations,
     measured_noise,
+    strides,
     track_checks,
     track_health,
     visual_odometry,
@@ -34,7 +35,7 @@ def audit(drive: Drive) -> Report:
     """Judge a recording. Works on any drive; what cannot be judged (an IMU without usable cameras) is named."""
     certain = list(whole.certain(drive))
     report = _judge(_apply(drive, certain))
-    if report.unjudged or report.findings:
+    if report.alignment is None or report.findings:
         report = whole.explained(report, _judge)
     return replace(report, drive=drive, findings=(*certain, *report.findings))
 
@@ -54,11 +55,17 @@ def _judge(drive: Drive) -> Report:
     facts = track_checks.facts(drive, cured, motions) | calibration_checks.facts(agreeing, *halves)
     unjudged = ""
     try:
-        timing = imu_timing.estimate(cured, motions)
-        findings += imu_checks.mistimed(cured, timing)
+        every, timing = strides.stride(cured, motions), None
+        if every == 1:
+            timing = imu_timing.estimate(cured, motions)
+            findings += imu_checks.mistimed(cured, timing)
+        else:
+            unjudged = f"IMU timing (tracks move enough over {every} frames only)"
         in_time = _apply(drive, findings)
-        signs = imu_alignment.correlation_by_extrinsics(in_time, motions)
-        alignment = imu_alignment.align(in_time, motions)
+        compared = strides.thin(in_time, every)
+        seen = visual_odometry.estimate(compared) if every > 1 else motions
+        alignment = imu_alignment.align(compared, seen)
+        signs = imu_alignment.correlation_by_extrinsics(compared, seen)
     except imu_alignment.TooFewSteps as reason:
         unjudged = f"IMU, extrinsics, scale ({reason})"
         timing, signs, alignment = None, None, None
@@ -67,12 +74,13 @@ def _judge(drive: Drive) -> Report:
             findings += innovations.readings(cured, noise.noise)
         facts["IMU noise by second differences [m/s, rad/s]"] = [noise.noise.sigma_v, noise.noise.sigma_omega]
     else:
-        mirrored, alignment = imu_checks.mirrored_axis(in_time, motions, alignment)
+        mirrored, alignment = imu_checks.mirrored_axis(compared, seen, alignment)
         findings += mirrored
         for check in (imu_checks.turned_axes, imu_checks.misalignment, imu_checks.lever_arm,
                       imu_checks.scale_conflict, imu_checks.gyro_scale, imu_checks.gyro_bias):
             findings += check(_apply(drive, findings), alignment)
-        noise = measured_noise.from_alignment(in_time, alignment, motions)
+        noise = measured_noise.from_alignment(in_time, alignment, motions, every)
+        alignment = replace(alignment, steps=every * alignment.steps)
         facts |= imu_checks.facts(timing, alignment)
     return Report(drive=drive, findings=tuple(findings), facts=facts, signs=signs, alignment=alignment, noise=noise,
                   timing=timing, motions=motions, copy_steps=copy_steps, unjudged=unjudged)

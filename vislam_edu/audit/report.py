@@ -131,13 +131,9 @@ class Report:
                 "be wrong by: not applied (--force applies them)")
 
     def _verdict(self) -> str:
-        if self.findings:
-            found = "1 finding" if len(self.findings) == 1 else f"{len(self.findings)} findings"
-        elif not len(self.drive.landmark):
-            return f"Nothing judged (no tracks); not judged: {self.unjudged}."
-        else:
-            found = "Nothing found in tracks and calibration" if self.unjudged else "Nothing found."
-        return found + (f"; not judged: {self.unjudged}." if self.unjudged else "")
+        judged = " in tracks and calibration" if len(self.drive.landmark) else " (no tracks)"
+        found = f"{len(self.findings)} findings" if self.findings else "Nothing found" + (self.unjudged and judged)
+        return found + (f"; not judged: {self.unjudged}" if self.unjudged else "") + "."
 
     def __str__(self):
         drive = self.drive

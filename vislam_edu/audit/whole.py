@@ -68,14 +68,14 @@ def explained(report: Report, judge: Callable[[Drive], Report]) -> Report:
     """
     drive, best = report.drive, report
     now, cured = unexplained(drive), unexplained(report.cured())
-    limit = CERTAIN * now if report.unjudged else min(BETTER * now, AS_GOOD * cured)
+    limit = CERTAIN * now if report.alignment is None else min(BETTER * now, AS_GOOD * cured)
     trials = sorted(((unexplained(cure(drive)), i, fault, cure, advice)
                      for i, (fault, cure, advice) in enumerate(candidates(drive))), key=lambda trial: trial[:2])
     for score, _, fault, cure, advice in trials[:_TRIED]:
         if score > limit:
             break
         other = judge(drive.apply(cure))
-        if not other.unjudged and (best.unjudged or len(other.findings) < len(best.findings)):
+        if other.alignment is not None and (best.alignment is None or len(other.findings) < len(best.findings)):
             what, to_do = advice.split(": ", 1)
             finding = _finding(fault, score, "of the motion unexplained",
                                f"{what}; read so, the IMU explains all but {score:.0%} of the tracks' motion, as the "
@@ -133,9 +133,11 @@ def candidates(drive: Drive) -> Iterator[tuple[str, Cure, str]]:
     for unit, size in (("mm", 1e3), ("cm", 1e2)):
         yield f"baseline in {unit}", _camera(f"baseline read as {unit}", lambda camera, size=size: replace(
             camera, baseline=camera.baseline / size)), f"b is in {unit}: divide it by {size:g}"
-    yield "degrees", _twists("angular velocity read as degrees per second", np.repeat([1, np.pi / 180], 3)), \
+    yield "degrees", Cure("angular velocity read as degrees per second", False, lambda drive: drive.replace(
+        twists=drive.twists * np.repeat([1, np.pi / 180], 3))), \
         "angular_velocity is in degrees per second: multiply it by pi / 180"
-    yield "km/h", _twists("linear velocity read as km/h", np.repeat([1 / 3.6, 1], 3)), \
+    yield "km/h", Cure("linear velocity read as km/h", False, lambda drive: drive.replace(
+        twists=drive.twists * np.repeat([1 / 3.6, 1], 3))), \
         "linear_velocity is in km/h: divide it by 3.6"
     optical = se3.pose(OPTICAL_R_REGULAR, np.zeros(3))
     for name, change in (("the inverse", se3.inverse),
@@ -196,10 +198,6 @@ def _camera(name: str, change: Callable) -> Cure:
 
 def _pixels(name: str, change: Callable) -> Cure:
     return Cure(name, False, lambda drive: drive.replace(pixels=change(drive.pixels, drive.camera.K)))
-
-
-def _twists(name: str, factors) -> Cure:
-    return Cure(name, False, lambda drive: drive.replace(twists=drive.twists * factors))
 
 
 def _finding(fault, size, unit, text, cure, advice):
