@@ -63,7 +63,6 @@ def test_the_real_imu_with_simulated_tracks():
         nees.append(e @ np.linalg.solve(step.posterior.pose_covariance, e))
     length = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1).sum()
     drift = np.linalg.norm(true[-1].position - step.posterior.world_T_imu[:3, 3]) / length
-    print(drift, np.mean(nees))
     assert drift < 0.005
     assert np.mean(nees) < 12
     assert np.abs(true[-1].gyro_bias - step.posterior.motion[3:6]).max() < 0.002

@@ -182,7 +182,8 @@ def _own_drive(fields):
         noise = fields.numbers("imu_noise")
         if noise.shape != (4,) or not (np.isfinite(noise) & (noise >= 0)).all():
             raise DriveError(f"imu_noise: {noise.tolist()}, expected four numbers >= 0: densities and walks")
-        values["imu"] = ImuSamples(*(fields.numbers(f"imu_{key}") for key in _OWN_IMU), ImuNoise(*noise.tolist()))
+        times, gyro, accelerometer = (fields.numbers(f"imu_{key}") for key in _OWN_IMU)
+        values["imu"] = ImuSamples(times, gyro, accelerometer, ImuNoise(*noise.tolist()))
     history = fields.text("history")
     if not isinstance(history, list) or not all(isinstance(line, str) for line in history):
         raise DriveError("history: expected a list of sentences")

@@ -37,7 +37,8 @@ def system(camera: StereoCamera, states: list[State], steps: list[Preintegrated]
     H = []
     for i, motion in enumerate(steps):
         rows = np.zeros((15, 15 * n + 3 * m))
-        _, rows[:, 15 * i:15 * i + 15], rows[:, 15 * i + 15:15 * i + 30] = imu.residual(states[i], states[i + 1], motion)
+        _, by_before, by_after = imu.residual(states[i], states[i + 1], motion)
+        rows[:, 15 * i:15 * i + 30] = np.hstack([by_before, by_after])
         H.append(rows / np.sqrt(np.diag(motion.covariance))[:, None])
     for i, state in enumerate(states):
         R = state.rotation if i < n // 2 else se3.so3_exp([0, 0, shift]) @ state.rotation
