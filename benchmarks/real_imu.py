@@ -58,7 +58,8 @@ def main():
     run = Parallel(2)
     found = {"filter": {name: run(delayed(real_imu)(seed, make) for seed in FILTER_SEEDS) for name, make in
                         (("inverse depth", InverseDepth), ("right perturbation", RightPerturbation))},
-             "street": {str(least): run(delayed(street)(seed, least) for seed in STREET_SEEDS) for least in (25.0, 1.0)}}
+             "street": {least: run(delayed(street)(seed, float(least)) for seed in STREET_SEEDS)
+                        for least in ("25", "1")}}
     RESULTS.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
     print({name: np.mean(rows, axis=0).round(2).tolist() for name, rows in found["filter"].items()})
     for least, rows in found["street"].items():

@@ -50,7 +50,7 @@ class ImuSamples:
     def __post_init__(self) -> None:
         for name in ("times", "gyro", "accelerometer"):
             value = np.array(getattr(self, name), dtype=float)
-            shape = (len(self.times),) if name == "times" else (len(self.times), 3)
+            shape = (np.size(self.times),) if name == "times" else (np.size(self.times), 3)
             if value.shape != shape:
                 raise DriveError(f"imu {name}: shape {value.shape}, expected {shape}")
             if not np.isfinite(value).all():

@@ -384,7 +384,7 @@ def test_tum_comments_and_a_single_row(text, drive):
 
 IDENTITY = "1 0 0 0 0 1 0 0 0 0 1 0\n"
 BROKEN_TRUTH = {
-    "empty": ("# nothing\n\n", "no pose in it"),
+    "empty": ("# nothing\n\n", "no row of numbers in it"),
     "columns": ("1 2 3\n", "3 numbers a row, expected 12"),
     "ragged": (IDENTITY + "1 0 0\n", "line 2: expected 12 finite numbers"),
     "nan": (IDENTITY + IDENTITY.replace("1", "nan"), "line 2: expected 12 finite"),

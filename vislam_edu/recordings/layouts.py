@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import astuple
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,8 @@ from scipy.spatial.transform import Rotation
 
 from .. import se3
 from ..drive import LARGEST, Drive, DriveError
+from ..imu import ImuNoise
+from ..inertial import ImuSamples
 from ..stereo import StereoCamera
 from . import extrinsics as mounting
 from . import files, shipped
@@ -61,6 +64,9 @@ def save(drive, path):
               "n_landmarks": drive.n_landmarks, "history": np.array(drive.history, dtype=str)}
     fields |= {key: getattr(drive, key) for key in (*_OWN_ARRAYS, *_OWN_TEXTS)}
     fields |= {key: getattr(drive, key) for key in _OWN_OPTIONAL if getattr(drive, key) is not None}
+    if drive.imu is not None:
+        fields |= {f"imu_{key}": getattr(drive.imu, key) for key in _OWN_IMU}
+        fields["imu_noise"] = np.array(astuple(drive.imu.noise))
     with files.replacing(path) as file:
         np.savez_compressed(file, **fields)
 
@@ -118,6 +124,23 @@ def load_ground_truth(path, drive) -> Drive:
         return drive.replace(truth_world_T_cam=poses, truth_landmarks=None)
 
 
+def load_imu(path, drive) -> Drive:
+    """The drive with the samples of a gyro and an accelerometer from a text file in EuRoC's layout (imu0/data.csv).
+
+    A row is `time in ns, gyro x y z in rad/s, accelerometer x y z in m/s^2`, with commas; lines that start with # are
+    skipped. The times are those of the drive's clock. EuRoC's samples are values at an instant: the mean of two
+    neighbours takes the place of each, as a sample here lasts until the next one.
+    Raises DriveError naming the file and the line.
+    """
+    path = Path(path)
+    with files.errors_name(path):
+        rows = rows_of_numbers(path)[0]
+        if rows.shape[1] != 7:
+            raise DriveError(f"{rows.shape[1]} numbers a row, expected 7 (EuRoC: time in ns, gyro, accelerometer)")
+        values = np.concatenate([(rows[:-1, 1:] + rows[1:, 1:]) / 2, rows[-1:, 1:]])
+        return drive.replace(imu=ImuSamples(rows[:, 0] / 1e9, values[:, :3], values[:, 3:]))
+
+
 def save_kitti(path, poses):
     """Write poses (T, 4, 4) as KITTI text: 12 numbers a row, the upper 3 x 4 of each."""
     _write_rows(path, _finite_poses(poses)[:, :3].reshape(-1, 12))
@@ -134,6 +157,7 @@ def save_tum(path, times, poses):
 
 _OWN_ARRAYS = ("times", "twists", "frame_start", "landmark", "pixels")
 _OWN_TEXTS = ("name", "source", "imu_sample")
+_OWN_IMU = ("times", "gyro", "accelerometer")
 _OWN_OPTIONAL = ("truth_world_T_cam", "truth_landmarks", "left_T_cam")
 
 
@@ -168,6 +192,12 @@ def _own_drive(fields):
         _rigid("left_T_cam", values["left_T_cam"])
     values |= {key: files.shown(fields.text(key)) for key in _OWN_TEXTS}
     values["n_landmarks"] = _count(fields, "n_landmarks")
+    if "imu_times" in fields:
+        noise = fields.numbers("imu_noise")
+        if noise.shape != (4,) or not (np.isfinite(noise) & (noise >= 0)).all():
+            raise DriveError(f"imu_noise: {noise.tolist()}, expected four numbers >= 0: densities and walks")
+        times, gyro, accelerometer = (fields.numbers(f"imu_{key}") for key in _OWN_IMU)
+        values["imu"] = ImuSamples(times, gyro, accelerometer, ImuNoise(*noise.tolist()))
     history = fields.text("history")
     if not isinstance(history, list) or not all(isinstance(line, str) for line in history):
         raise DriveError("history: expected a list of sentences")
@@ -265,7 +295,7 @@ def rows_of_numbers(path):
             raise DriveError(f"line {number}: expected {len(rows[0])} finite numbers, as in the first row")
         commas |= "," in line
     if not rows:
-        raise DriveError("no pose in it")
+        raise DriveError("no row of numbers in it")
     return np.array(rows), commas
 
 

@@ -2,35 +2,43 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 
 from ... import imu, se3
-from ...drive import Drive
-from ...imu import State
-from ...stereo import ROWS
+from ...imu import Preintegrated, State
+from ...inertial import ImuSamples
+from ...stereo import ROWS, StereoCamera
 
 
-def along_the_samples(drive: Drive, start: State, frames: np.ndarray) -> list[State]:
-    """The states at the frames (n,) to which the samples lead from `start`: every residual of the IMU is zero there."""
+def motions(samples: ImuSamples, start: State, times: np.ndarray) -> list[Preintegrated]:
+    """The motions between the times (n,), s, for the biases of `start`."""
+    return [imu.preintegrate(*samples.between(a, b), start.gyro_bias, start.accelerometer_bias)
+            for a, b in pairwise(times)]
+
+
+def along(start: State, steps: list[Preintegrated]) -> list[State]:
+    """The states to which the motions lead from `start`: every residual of the IMU is zero there."""
     states = [start]
-    for a, b in zip(drive.times[frames[:-1]], drive.times[frames[1:]]):
-        motion = imu.preintegrate(*drive.imu.between(a, b), start.gyro_bias, start.accelerometer_bias)
+    for motion in steps:
         states.append(imu.predict(states[-1], motion))
     return states
 
 
-def system(drive: Drive, states: list[State], frames: np.ndarray, points: np.ndarray, shift: float = 0.0) -> np.ndarray:
-    """The Jacobian (rows, 15n + 3m) of the IMU's factors between n frames and of the pixels of m points (m, 3), m.
+def system(camera: StereoCamera, states: list[State], steps: list[Preintegrated], points: np.ndarray,
+           shift: float = 0.0) -> np.ndarray:
+    """The Jacobian (rows, 15n + 3m) of the motions between n states and of the pixels of m points (m, 3), m.
 
     Columns: the states, 15 each in the order of `imu`, then the points. shift : rad, by which the pixels of the second
     half of the frames are linearised at another heading, as after a relinearisation that spares the first half.
     """
-    n, m, camera = len(states), len(points), drive.camera
+    n, m = len(states), len(points)
     H = []
-    for i, (a, b) in enumerate(zip(states[:-1], states[1:])):
-        motion = imu.preintegrate(*drive.imu.between(*drive.times[frames[i:i + 2]]), a.gyro_bias, a.accelerometer_bias)
+    for i, motion in enumerate(steps):
         rows = np.zeros((15, 15 * n + 3 * m))
-        _, rows[:, 15 * i:15 * i + 15], rows[:, 15 * i + 15:15 * i + 30] = imu.residual(a, b, motion)
+        _, by_before, by_after = imu.residual(states[i], states[i + 1], motion)
+        rows[:, 15 * i:15 * i + 30] = np.hstack([by_before, by_after])
         H.append(rows / np.sqrt(np.diag(motion.covariance))[:, None])
     for i, state in enumerate(states):
         R = state.rotation if i < n // 2 else se3.so3_exp([0, 0, shift]) @ state.rotation
