@@ -170,7 +170,7 @@ def fit(steps, measured, seen, covariance, imu_R_cam=None) -> Alignment:
     """
     R = _start(measured, seen) if imu_R_cam is None else imu_R_cam
     p, b, scales = np.zeros(3), np.zeros(3), _start_scales(measured, seen, R)
-    least = np.maximum(white_noise(measured), _LEAST_NOISE)
+    least = np.maximum(0.7 * white_noise(measured), _LEAST_NOISE)  # a median of few samples scatters
     for _ in range(_ITERATIONS):
         predicted, jacobian = _model(seen, R, p, b, scales)
         residual = measured - predicted

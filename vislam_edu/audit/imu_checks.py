@@ -221,8 +221,8 @@ def gyro_bias(drive, alignment):
 
 def facts(timing, alignment):
     """What timing and alignment measure whether anything is wrong or not, by name."""
-    facts = {"IMU sample k fits step k + s best for s": "{:.2f} +- {:.2f}".format(*timing.peak)} if timing else {}
-    return facts | {
+    when = {"IMU sample k fits step k + s best for s": "{:.2f} +- {:.2f}".format(*timing.peak)} if timing else {}
+    return when | {
         "camera in the IMU frame [m]": f"{_list(alignment.camera_in_imu, 2)} "
                                        f"+- {_list(alignment.sigma(LEVER_ARM), 2)}",
         "gyro bias [rad/s]": f"{_list(alignment.gyro_bias, 4)} +- {_list(alignment.sigma(GYRO_BIAS), 4)}",

@@ -1,7 +1,6 @@
 """Where cameras see too little for visual odometry: the few discrete readings of a file, judged by a filter.
 
-Two readings of the IMU's samples and two of the extrinsics' translation are known from real recordings. Each
-combination drives the joint filter, and the one whose predictions the tracks contradict least is the likeliest.
+Each combination of two IMU samples and two translations drives the joint filter; the least contradicted is likeliest.
 """
 
 from collections.abc import Iterator

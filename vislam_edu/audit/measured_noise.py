@@ -62,9 +62,8 @@ def measure(drive) -> MeasuredNoise:
 
 def from_alignment(drive, alignment, motions, every=1) -> MeasuredNoise:
     """The same from an `Alignment` and `FrameMotions` already at hand. every : samples that a step of it averages."""
-    per_sample = every**0.5
-    if every == 1 and drive.imu_sample == "mean":  # the mean of two samples has half the variance
-        per_sample = 2**0.5
+    # The mean of two samples has half the variance
+    per_sample = 2**0.5 if every == 1 and drive.imu_sample == "mean" else every**0.5
     sigma = per_sample * alignment.imu_sigma
     # Squared residuals scatter by sqrt(2) of their variance; all of that falls on the IMU's part
     variance_error = np.sqrt(2 / np.sum(alignment.variance**-2, axis=0))

@@ -1,9 +1,8 @@
 """What may be wrong with a file as a whole: one wrong reading of it makes every sensor look wrong at once.
 
 Each candidate is a `Cure`: another reading of calibration, tracks, times or units. It is tried where the checks of the
-single sensors have found something, or could judge nothing, and it wins when the cameras' tracks move as the IMU says
-(`unexplained`) at least as well as after all single cures, and when less is left to cure: one explanation that cures
-all is likelier than five faults that happen to meet.
+single sensors found something or could not judge, and wins when the tracks move as the IMU says (`unexplained`) as well
+as after all single cures, and less is left to cure: one explanation is likelier than five faults that happen to meet.
 """
 
 from collections.abc import Callable, Iterator
@@ -103,8 +102,8 @@ def certain(drive: Drive) -> Iterator[Finding]:
     if tau > _LONGEST:
         unit, size = next((name, size) for name, size in (("ms", 1e3), ("us", 1e6), ("ns", 1e9))
                           if tau < _LONGEST * size)
-        yield _finding(f"times in {unit}", tau, "s", f"a step would take {tau:.3g} s: time_stamps are in {unit}",
-                       Cure(f"times read as {unit}", False, lambda drive: drive.replace(times=drive.times / size)),
+        cure = Cure(f"times read as {unit}", False, lambda drive: drive.replace(times=drive.times / size))
+        yield _finding(f"times in {unit}", tau, "s", f"a step would take {tau:.3g} s: time_stamps are in {unit}", cure,
                        f"divide them by {size:.0e}")
     resolution = float(np.spacing(np.float32(np.abs(drive.times).max())))
     if resolution > 0.05 * tau and np.array_equal(drive.times, drive.times.astype(np.float32)):
@@ -112,9 +111,8 @@ def certain(drive: Drive) -> Iterator[Finding]:
         cure = (Cure("times spread evenly", False, lambda drive: drive.replace(times=even))
                 if np.abs(even - drive.times).max() <= 2 * resolution else None)
         yield _finding("float32 times", resolution, "s",
-                       f"time_stamps were stored as float32, which knows them to {resolution:.2g} s only, where a step "
-                       f"takes {tau:.2g} s", cure,
-                       "store them as float64, or counted from the first frame")
+                       f"time_stamps are float32: known to {resolution:.2g} s only, where a step takes {tau:.2g} s",
+                       cure, "store them as float64, or counted from the first frame")
 
 
 def candidates(drive: Drive) -> Iterator[tuple[str, Cure, str]]:
@@ -165,9 +163,8 @@ def _fitted(drive):
                 f"{cause}: multiply {numbers} by {s:.4g}"
     centre, middle = drive.camera.K[:2, 2], (drive.pixels[:, :2].min(axis=0) + drive.pixels[:, :2].max(axis=0)) / 2
 
-    def moved(shift):
-        return _with_K(lambda K: K + np.outer([*shift, 0], [0, 0, 1]), f"centre of K moved by "
-                       f"{np.round(shift, 1).tolist()} px")
+    def moved(d):
+        return _with_K(lambda K: K + np.outer([*d, 0], [0, 0, 1]), f"centre of K moved by {np.round(d, 1).tolist()} px")
 
     shift = minimize(lambda shift: min(unexplained(moved(shift)(drive)), 1e6), middle - centre, method="Nelder-Mead",
                      options={"maxfev": 60, "xatol": 1.0}).x
