@@ -169,6 +169,7 @@ def nees(error: np.ndarray, covariance: np.ndarray) -> np.ndarray:
     Source: Bar-Shalom, Li, Kirubarajan, Estimation with Applications to Tracking and Navigation, section
     5.4.2.
     """
+    covariance = (covariance + np.swapaxes(covariance, -1, -2)) / 2  # a Cholesky factorisation reads one triangle only
     whitened = np.linalg.solve(np.linalg.cholesky(covariance), np.asarray(error)[..., None])[..., 0]
     return np.sum(whitened**2, axis=-1)
 

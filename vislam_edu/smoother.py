@@ -34,7 +34,7 @@ import numpy as np
 from scipy.linalg import cholesky, solve_triangular
 from threadpoolctl import threadpool_limits
 
-from . import blockwise, motion, stereo, window_slam
+from . import blockwise, motion, robust, stereo, window_slam
 from .belief import Belief, Step
 from .drive import Drive
 from .error_state import ErrorState, RightPerturbation
@@ -175,7 +175,7 @@ def final_map(drive: Drive, noise: Noise, error_state: ErrorState | None = None,
     Returns a `MapBelief`; rows of landmarks that were never born are zero, and not `seen`.
     drive, noise, error_state, options : as for `window_slam.run`, with its `ImuDriven` motion model.
     progress : called as `progress(frames, total=T)` on the backward walk, for instance `tqdm.auto.tqdm`.
-    Raises ValueError for another motion model or for a run that retires nothing.
+    Raises ValueError for another motion model, for a run that retires nothing, or for robust weights.
 
     For `RightPerturbation` the result is that filter's, to rounding. For `RightInvariant` it is to first order: there
     a correction turns all landmarks about the origin, which is not a sum. For `InverseDepth` as well: a landmark is
@@ -186,6 +186,8 @@ def final_map(drive: Drive, noise: Noise, error_state: ErrorState | None = None,
     for name in ("motion_model", "retire"):
         if name in options:
             raise ValueError(f"final_map walks back through the plain window filter, so it takes no {name}")
+    if options.get("process_frame") is robust.process_frame:
+        raise ValueError("final_map walks back through updates of full weight, so it takes no robust.process_frame")
     error_state = error_state or RightPerturbation()
     model = motion.ImuDriven(drive, noise, error_state)
     settings = window_slam.UpdateSettings(drive.camera, noise, error_state, np.inf, 0.0)
