@@ -47,7 +47,8 @@ def so3_hat(omega):
 
     omega : (3,). Returns (3, 3).
     """
-    return se3.so3_hat(omega)
+    x, y, z = omega
+    return np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
 
 
 @so3_hat.mistake("signs transposed", """This is the transpose, -omega^: it gives cross(b, a). The entry in the first
@@ -77,7 +78,11 @@ def se3_hat(xi):
 
     xi : (6,), [v, omega], translation first. Returns (4, 4). You may use your `so3_hat`.
     """
-    return se3.hat(xi)
+    v, omega = xi[:3], xi[3:]
+    X = np.zeros((4, 4))
+    X[:3, :3] = se3.so3_hat(omega)
+    X[:3, 3] = v
+    return X
 
 
 @se3_hat.mistake("rotation and translation swapped", """A twist is [v, omega], translation first: omega is xi[3:].
@@ -107,7 +112,11 @@ def so3_exp(phi):
 
     phi : (3,), rad: axis times angle; zero must give the identity. Returns (3, 3).
     """
-    return se3.so3_exp(phi)
+    t = np.linalg.norm(phi)
+    S = se3.so3_hat(phi)
+    if t < 1e-6:
+        return np.eye(3) + S
+    return np.eye(3) + np.sin(t) / t * S + (1 - np.cos(t)) / t**2 * (S @ S)
 
 
 @so3_exp.mistake("no small-angle branch", "At zero rotation the formula divides 0 by 0. " + _SMALL)
@@ -153,7 +162,17 @@ def se3_exp(xi):
 
     xi : (6,), [v, omega], m and rad; no rotation must give a pure translation. Returns (4, 4).
     """
-    return se3.exp(xi)
+    v, omega = xi[:3], xi[3:]
+    t = np.linalg.norm(omega)
+    S = se3.so3_hat(omega)
+    R = se3.so3_exp(omega)
+    V = np.eye(3) + S / 2
+    if t > 1e-6:
+        V = np.eye(3) + (1 - np.cos(t)) / t**2 * S + (t - np.sin(t)) / t**3 * (S @ S)
+    T = np.eye(4)
+    T[:3, :3] = R
+    T[:3, 3] = V @ v
+    return T
 
 
 @se3_exp.mistake("no small-angle branch", "At zero rotation the formula divides 0 by 0. " + _SMALL)
@@ -215,7 +234,12 @@ def adjoint(T):
 
     T : (4, 4), a_T_b. Returns (6, 6), which takes twists [v, omega] of frame b to frame a.
     """
-    return se3.adjoint(T)
+    R, p = T[:3, :3], T[:3, 3]
+    A = np.zeros((6, 6))
+    A[:3, :3] = R
+    A[:3, 3:] = se3.so3_hat(p) @ R
+    A[3:, 3:] = R
+    return A
 
 
 @adjoint.mistake("twist order [omega, v]", """The block p^ R stands lower left only where a twist is [omega, v]. Here it
@@ -260,7 +284,16 @@ def left_jacobian(xi):
 
     xi : (6,), [v, omega]. Returns (6, 6).
     """
-    return se3.left_jacobian(xi)
+    X = np.zeros((6, 6))
+    X[:3, :3] = se3.so3_hat(xi[3:])
+    X[:3, 3:] = se3.so3_hat(xi[:3])
+    X[3:, 3:] = se3.so3_hat(xi[3:])
+    J = np.eye(6)
+    term = np.eye(6)
+    for n in range(1, 30):
+        term = term @ X / (n + 1)
+        J = J + term
+    return J
 
 
 @left_jacobian.mistake("I at zero rotation", """Zero rotation is not a zero twist: there the Jacobian is [[I, v^/2], [0,
@@ -319,8 +352,8 @@ def dead_reckon(world_T_imu, twists, taus):
     taus : (n,), s, how long each twist lasts. Returns (n + 1, 4, 4), the start included. You may use `se3.exp`.
     """
     poses = [world_T_imu]
-    for twist, tau in zip(twists, taus):
-        poses.append(poses[-1] @ se3.exp(tau * twist))
+    for k in range(len(taus)):
+        poses.append(poses[k] @ se3.exp(taus[k] * twists[k]))
     return np.array(poses)
 
 
@@ -384,7 +417,9 @@ def predict_covariance(covariance, twist, tau, Q):
     Q : (6, 6), covariance of one IMU sample. Returns (6, 6): F P F^T + B Q B^T with F = Ad(exp(-tau u^)) and
     B = tau J_r(tau u), J_r the right Jacobian. You may use `se3`.
     """
-    return _predicted(covariance, twist, tau, Q)
+    F = se3.adjoint(se3.exp(-tau * twist))
+    B = tau * se3.right_jacobian(tau * twist)
+    return F @ covariance @ F.T + B @ Q @ B.T
 
 
 @predict_covariance.mistake("noise not scaled by tau", """Q is the variance of one sample of the twist. Over the step
@@ -448,7 +483,14 @@ def datasheet_noise(angle_random_walk, velocity_density, rate):
     angle_random_walk : degrees per root hour, of the gyro. velocity_density : m/s per root hertz. rate : Hz,
     samples per second; a step lasts 1 / rate. Returns (6, 6), order [position m, rotation rad], with J_r = I.
     """
-    return _W(velocity_density, np.radians(angle_random_walk) / 60, 1 / rate)
+    tau = 1 / rate
+    gyro_density = np.radians(angle_random_walk) / np.sqrt(3600)
+    sigma_v = velocity_density * np.sqrt(rate)
+    sigma_omega = gyro_density * np.sqrt(rate)
+    W = np.zeros((6, 6))
+    W[:3, :3] = tau**2 * sigma_v**2 * np.eye(3)
+    W[3:, 3:] = tau**2 * sigma_omega**2 * np.eye(3)
+    return W
 
 
 @datasheet_noise.mistake("degrees", "The datasheet gives degrees, W wants radians: np.radians.")

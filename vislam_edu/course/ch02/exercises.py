@@ -26,7 +26,9 @@ def bearing(K, uv):
     K : (3, 3), px, calibration [[f_u, 0, c_u], [0, f_v, c_v], [0, 0, 1]]. uv : (2,), px.
     Returns (3,), in the camera frame, its third entry 1.
     """
-    return stereo.bearing(K, uv)
+    x = (uv[0] - K[0, 2]) / K[0, 0]
+    y = (uv[1] - K[1, 2]) / K[1, 1]
+    return np.array([x, y, 1.0])
 
 
 @bearing.mistake("pixels used as bearings", """[u, v, 1] is a pixel, not a direction: it has to go through K^-1. The
@@ -84,7 +86,23 @@ def triangulate_bearings(K, uv1, uv2, R, p):
     K : (3, 3), px, of both cameras. uv1, uv2 : (2,), px, in camera 1 and camera 2. R, p : (3, 3) and (3,) m,
     the pose of camera 2 in camera 1. Returns (3,), m, in the frame of camera 1. You may use `stereo.bearing`.
     """
-    return stereo.triangulate_bearings(stereo.bearing(K, uv1), stereo.bearing(K, uv2), R, p)[0]
+    z1 = stereo.bearing(K, uv1)
+    z2 = stereo.bearing(K, uv2)
+    a = R.T @ z1
+    b = R.T @ p
+    a = a - a[2] * z2
+    b = b - b[2] * z2
+    depth = (a @ b) / (a @ a)
+    return depth * z1
+
+
+@triangulate_bearings.otherwise
+def _(K, uv1, uv2, R, p):
+    z1 = stereo.bearing(K, uv1)
+    z2 = stereo.bearing(K, uv2)
+    A = np.column_stack([z1, -R @ z2])
+    depths = np.linalg.inv(A.T @ A) @ A.T @ p
+    return depths[0] * z1
 
 
 @triangulate_bearings.mistake("pixels used as bearings", """The equations hold for bearings K^-1 [u, v, 1], not for [u,
@@ -153,7 +171,13 @@ def triangulate(K, baseline, pixels):
     Returns points (n, 3), m, in the left camera, and ok (n,), False where the disparity is zero or negative;
     what points holds there does not matter.
     """
-    return StereoCamera(K, baseline, np.eye(4)).triangulate(pixels)
+    u_left, v_left, u_right, _v_right = pixels.T
+    d = u_left - u_right
+    ok = d > 0
+    z = K[0, 0] * baseline / d
+    x = z * (u_left - K[0, 2]) / K[0, 0]
+    y = z * (v_left - K[1, 2]) / K[1, 1]
+    return np.column_stack([x, y, z]), ok
 
 
 @triangulate.mistake("disparity at or below zero triangulated", """Noise can bring the disparity of a far point to zero
@@ -229,7 +253,13 @@ def triangulation_covariance(K, baseline, point, sigma_px):
     K : (3, 3), px. baseline : m. point : (3,), m, in the left camera. sigma_px : px, of each of the four numbers
     [u_left, v_left, u_right, v_right]. Returns (3, 3), m^2, in the left camera: (H^T V^-1 H)^-1.
     """
-    return StereoCamera(K, baseline, np.eye(4)).triangulation_covariance(point, sigma_px)
+    x, y, z = point
+    f_u, f_v = K[0, 0], K[1, 1]
+    H = np.array([[f_u / z, 0, -f_u * x / z**2],
+                  [0, f_v / z, -f_v * y / z**2],
+                  [f_u / z, 0, -f_u * (x - baseline) / z**2],
+                  [0, f_v / z, -f_v * y / z**2]])
+    return sigma_px**2 * np.linalg.inv(H.T @ H)
 
 
 @triangulation_covariance.mistake("sigma not squared", "V holds variances: sigma_px squared.")

@@ -30,7 +30,19 @@ def project(camera, points_cam):
     camera : StereoCamera; camera.K_s is the stereo calibration matrix (4, 4). points_cam : (n, 3), m, in the left
     camera, all in front of it. Returns (n, 4), [u_left, v_left, u_right, v_right], px.
     """
-    return camera.project(points_cam)[0]
+    x, y, z = points_cam.T
+    q = np.stack([x, y, z, np.ones(len(z))])
+    return (camera.K_s @ (q / q[2])).T
+
+
+@project.otherwise
+def _(camera, points_cam):
+    K = camera.K_s
+    x, y, z = points_cam.T
+    u_left = K[0, 0] * x / z + K[0, 2]
+    v_left = K[1, 1] * y / z + K[1, 2]
+    u_right = K[0, 0] * x / z + K[0, 2] + K[2, 3] / z
+    return np.column_stack([u_left, v_left, u_right, v_left])
 
 
 @project.mistake("not divided by depth", "Perspective is the division by the depth q_3: pi(q) = q / q_3.")
@@ -77,7 +89,12 @@ def projection_jacobian(camera, point_cam):
 
     camera : StereoCamera (camera.K_s). point_cam : (3,), m, in the left camera. Returns (4, 4), px/m.
     """
-    return camera.projection_jacobian(point_cam)
+    x, y, z = point_cam
+    D = np.array([[1 / z, 0, -x / z**2, 0],
+                  [0, 1 / z, -y / z**2, 0],
+                  [0, 0, 0, 0],
+                  [0, 0, -1 / z**2, 1 / z]])
+    return camera.K_s @ D
 
 
 @projection_jacobian.mistake("1/q3 forgotten", """The whole matrix carries a factor 1/q_3: a point twice as far away
@@ -134,7 +151,11 @@ def landmark_jacobian(camera, world_T_imu, landmark):
     camera : StereoCamera (cam_T_imu, projection_jacobian, to_cam). world_T_imu : (4, 4). landmark : (3,), m,
     world. Returns (4, 3), px/m.
     """
-    return camera.landmark_jacobian(world_T_imu, landmark)
+    R, p = world_T_imu[:3, :3], world_T_imu[:3, 3]
+    s = R.T @ (landmark - p)
+    q = camera.cam_T_imu[:3, :3] @ s + camera.cam_T_imu[:3, 3]
+    J = camera.projection_jacobian(q)[:, :3]
+    return J @ camera.cam_T_imu[:3, :3] @ R.T
 
 
 def _landmark_jacobian(camera, q, rotation):
@@ -208,7 +229,17 @@ def kalman_update(covariance, H, V, residual):
     covariance : (n, n). H : (m, n). V : (m, m), noise. residual : (m,), measured minus predicted.
     Returns delta (n,), to be added to the mean, and the covariance (n, n) afterwards.
     """
-    return kalman.update(covariance, H, V, residual)
+    S = H @ covariance @ H.T + V
+    K = covariance @ H.T @ np.linalg.inv(S)
+    A = np.eye(len(covariance)) - K @ H
+    return K @ residual, A @ covariance @ A.T + K @ V @ K.T
+
+
+@kalman_update.otherwise
+def _(covariance, H, V, residual):
+    S = H @ covariance @ H.T + V
+    K = covariance @ H.T @ np.linalg.inv(S)
+    return K @ residual, (np.eye(len(covariance)) - K @ H) @ covariance
 
 
 @kalman_update.mistake("noise left out of S", """S = H P H^T + V: the residual also scatters by the noise of the
@@ -273,6 +304,14 @@ def stacked_noise(V, n):
 
     V : (4, 4), px^2, of one measurement. n : how many. Returns (4n, 4n), px^2, measurement after measurement.
     """
+    W = np.zeros((4 * n, 4 * n))
+    for i in range(n):
+        W[4 * i:4 * i + 4, 4 * i:4 * i + 4] = V
+    return W
+
+
+@stacked_noise.otherwise
+def _(V, n):
     return np.kron(np.eye(n), V)
 
 
@@ -318,7 +357,9 @@ def correct_landmarks(landmarks, ids, accepted, delta):
     passed the gate. delta : (n, 3), m, correction of each measured landmark. Returns (M, 3), m.
     """
     new = landmarks.copy()
-    new[ids[accepted]] += delta[accepted]
+    for i in range(len(ids)):
+        if accepted[i]:
+            new[ids[i]] += delta[i]
     return new
 
 

@@ -25,7 +25,10 @@ def odot(point):
 
     point : (3,), m. Returns (4, 6). You may use `se3.so3_hat`.
     """
-    return se3.odot(point)
+    D = np.zeros((4, 6))
+    D[:3, :3] = np.eye(3)
+    D[:3, 3:] = -se3.so3_hat(point)
+    return D
 
 
 @odot.mistake("sign of the hat", "omega x s = -s x omega: the block is -s^.")
@@ -57,7 +60,11 @@ def pose_jacobian(camera, world_T_imu, landmark):
     Returns (4, 6), px per [m, rad]: -K_s dpi/dq(q) cam_T_imu odot(s), s = T^-1 m in the IMU frame, q = cam_T_imu s.
     You may use `se3`.
     """
-    return camera.pose_jacobian(world_T_imu, landmark)
+    R, p = world_T_imu[:3, :3], world_T_imu[:3, 3]
+    s = R.T @ (landmark - p)
+    q = camera.cam_T_imu[:3, :3] @ s + camera.cam_T_imu[:3, 3]
+    J = camera.projection_jacobian(q)[:, :3] @ camera.cam_T_imu[:3, :3]
+    return -J @ np.hstack([np.eye(3), -se3.so3_hat(s)])
 
 
 def _s_and_J(camera, world_T_imu, landmark):
@@ -131,8 +138,13 @@ def pose_update(camera, world_T_imu, covariance, landmarks, pixels, sigma_px):
     (n, 3), m, world. pixels : (n, 4), measured. sigma_px : px. Returns world_T_imu (4, 4) and covariance (6, 6)
     afterwards. You may use `se3` and `kalman.update`.
     """
-    delta, P = _correction(camera, world_T_imu, covariance, landmarks, pixels, sigma_px**2 * np.eye(pixels.size))
-    return world_T_imu @ se3.exp(delta), P
+    predicted = camera.observe(world_T_imu, landmarks)[0]
+    residual = (pixels - predicted).ravel()
+    H = camera.pose_jacobian(world_T_imu, landmarks).reshape(-1, 6)
+    V = sigma_px**2 * np.eye(len(residual))
+    K = covariance @ H.T @ np.linalg.inv(H @ covariance @ H.T + V)
+    delta = K @ residual
+    return world_T_imu @ se3.exp(delta), (np.eye(6) - K @ H) @ covariance
 
 
 @pose_update.mistake("world and body mixed", """The correction is a right perturbation, expressed in the body frame: T

@@ -37,7 +37,22 @@ def predict_joint(covariance, F, W):
     covariance : (3n+6, 3n+6), landmarks first, then the pose. F : (6, 6), transition of the pose error. W : (6, 6).
     Returns (3n+6, 3n+6).
     """
-    return _carried(covariance, F, W)
+    n = len(covariance) - 6
+    P = covariance.copy()
+    P[n:, n:] = F @ covariance[n:, n:] @ F.T + W
+    P[:n, n:] = covariance[:n, n:] @ F.T
+    P[n:, :n] = F @ covariance[n:, :n]
+    return P
+
+
+@predict_joint.otherwise
+def _(covariance, F, W):
+    n = len(covariance) - 6
+    A = np.eye(n + 6)
+    A[n:, n:] = F
+    P = A @ covariance @ A.T
+    P[n:, n:] += W
+    return P
 
 
 @predict_joint.mistake("cross-covariances not propagated", """Only the pose block was carried along. What ties pose and
@@ -123,8 +138,18 @@ def new_landmark(covariance, world_T_imu, point_imu, C):
     triangulated point s in the IMU frame. C : (3, 3), m^2, covariance of its triangulation, in the IMU frame.
     Returns the landmark (3,), m, world, and the covariance (3n+9, 3n+9). You may use `se3`.
     """
-    G, R = _G(world_T_imu, point_imu), world_T_imu[:3, :3]
-    return _born(covariance, world_T_imu, point_imu, G, G @ covariance[-6:, -6:] @ G.T + R @ C @ R.T)
+    R, p = world_T_imu[:3, :3], world_T_imu[:3, 3]
+    n = len(covariance) - 6
+    G = R @ np.hstack([np.eye(3), -se3.so3_hat(point_imu)])
+    cross = G @ covariance[n:]
+    own = G @ covariance[n:, n:] @ G.T + R @ C @ R.T
+    P = np.zeros((n + 9, n + 9))
+    old = np.r_[:n, n + 3:n + 9]
+    P[np.ix_(old, old)] = covariance
+    P[n:n + 3, old] = cross
+    P[old, n:n + 3] = cross.T
+    P[n:n + 3, n:n + 3] = own
+    return R @ point_imu + p, P
 
 
 @new_landmark.mistake("no correlation with the pose", """The landmark was placed from the pose, so it shares the pose's
@@ -218,7 +243,11 @@ def joint_jacobian(H_landmark, H_pose, rows, n):
     H_landmark : (m, 4, 3), px/m. H_pose : (m, 4, 6), px per [m, rad]. rows : (m,), which landmark of the state each
     measurement shows. n : landmarks in the state. Returns (4m, 3n+6), measurement after measurement.
     """
-    return _assembled(H_landmark, H_pose, n, lambda i: slice(3 * rows[i], 3 * rows[i] + 3))
+    H = np.zeros((4 * len(rows), 3 * n + 6))
+    for i in range(len(rows)):
+        H[4 * i:4 * i + 4, 3 * rows[i]:3 * rows[i] + 3] = H_landmark[i]
+        H[4 * i:4 * i + 4, 3 * n:] = H_pose[i]
+    return H
 
 
 @joint_jacobian.mistake("interleaved and grouped orders mixed", """The state is x0 y0 z0 x1 y1 z1 ...: landmark j has
@@ -276,7 +305,11 @@ def joint_update(world_T_imu, landmarks, covariance, H, residual, V):
     H : (k, 3n+6). residual : (k,), px, measured minus predicted. V : (k, k), px^2.
     Returns world_T_imu (4, 4), landmarks (n, 3) and covariance (3n+6, 3n+6). You may use `se3` and `kalman.update`.
     """
-    return _moved(world_T_imu, landmarks, *kalman.update(covariance, H, V, residual))
+    n = 3 * len(landmarks)
+    K = covariance @ H.T @ np.linalg.inv(H @ covariance @ H.T + V)
+    delta = K @ residual
+    P = (np.eye(n + 6) - K @ H) @ covariance
+    return world_T_imu @ se3.exp(delta[n:]), landmarks + delta[:n].reshape(-1, 3), P
 
 
 @joint_update.mistake("interleaved and grouped orders mixed", """delta is x0 y0 z0 x1 y1 z1 ...: reshape(n, 3). With

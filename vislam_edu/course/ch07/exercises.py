@@ -34,8 +34,13 @@ def invariant_noise(world_T_imu, landmarks, body_noise):
     body_noise : (6, 6), tau J_r(tau u), twist error to pose error in the body frame. Returns N (3n+6, 6), so that
     P' = P + N Q N^T. You may use `se3`.
     """
-    B = _INVARIANT.pose_transition(world_T_imu, np.eye(4), body_noise)[1]
-    return _stacked(_INVARIANT.landmark_transition(landmarks, B), B)
+    B = se3.adjoint(world_T_imu) @ body_noise
+    rows = []
+    for k in range(len(landmarks)):
+        m = landmarks[k]
+        rows.append(se3.so3_hat(m) @ B[3:])
+    rows.append(B)
+    return np.vstack(rows)
 
 
 @invariant_noise.mistake("landmarks left out", """The landmarks stand still, but their error is expressed relative to a
@@ -88,7 +93,10 @@ def invariant_jacobian(J, world_T_imu):
     J : (n, 4, 3), px/m, derivative of the pixels by the point in the IMU frame. world_T_imu : (4, 4).
     Returns H_landmark (n, 4, 3) and H_pose (n, 4, 6), columns [position, rotation].
     """
-    return _INVARIANT.jacobians(world_T_imu, np.zeros((len(J), 3)), J)
+    R = world_T_imu[:3, :3]
+    H_landmark = J @ R.T
+    H_pose = np.concatenate([-H_landmark, np.zeros(J.shape)], axis=-1)
+    return H_landmark, H_pose
 
 
 @invariant_jacobian.mistake("rotation kept", """Columns for the rotation other than zero tell the filter that one look
@@ -151,7 +159,18 @@ def invariant_retract(world_T_imu, landmarks, delta):
     world_T_imu : (4, 4). landmarks : (n, 3), m, world. delta : (3n+6,), [landmarks, position, rotation].
     Returns world_T_imu (4, 4) and landmarks (n, 3). You may use `se3`.
     """
-    return _INVARIANT.retract(world_T_imu, landmarks, delta)
+    R, p = world_T_imu[:3, :3], world_T_imu[:3, 3]
+    n = 3 * len(landmarks)
+    x_p, x_R = delta[n:n + 3], delta[n + 3:]
+    turn = se3.so3_exp(x_R)
+    J = se3.so3_left_jacobian(x_R)
+    T = np.eye(4)
+    T[:3, :3] = turn @ R
+    T[:3, 3] = turn @ p + J @ x_p
+    moved = []
+    for m, x_m in zip(landmarks, delta[:n].reshape(-1, 3)):
+        moved.append(turn @ m + J @ x_m)
+    return T, np.array(moved)
 
 
 @invariant_retract.mistake("left Jacobian forgotten", """Every translation is multiplied by J_l(x_R). Leaving it out

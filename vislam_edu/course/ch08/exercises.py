@@ -33,7 +33,12 @@ def axis_signs(gyro, seen):
     times. Returns (3,): for each axis 1 where the correlation of the two is above 0.5, -1 where it is below -0.5 (the
     cure is to turn the axis round), and 0 where it is neither (nothing can be said). Both may have a constant offset.
     """
-    return _signs(_correlation(gyro, seen))
+    signs = np.zeros(3)
+    for i in range(3):
+        r = np.corrcoef(gyro[:, i], seen[:, i])[0, 1]
+        if abs(r) > 0.5:
+            signs[i] = np.sign(r)
+    return signs
 
 
 @axis_signs.mistake("mean not subtracted", """A correlation is taken after the mean of each signal is subtracted;

@@ -24,8 +24,10 @@ def twist_jacobians(T_this, T_next, tau):
     T_this, T_next : (4, 4), world_T_imu of two frames. tau : s between them. Returns the derivatives (6, 6) by the
     right perturbation of T_this and by that of T_next. You may use `se3`.
     """
-    _, by_this, by_next = batch.path_twists(np.array([T_this, T_next]), np.array([tau]))
-    return by_this[0], by_next[0]
+    step = se3.log(se3.inverse(T_this) @ T_next)
+    by_this = -np.linalg.inv(se3.left_jacobian(step)) / tau
+    by_next = np.linalg.inv(se3.right_jacobian(step)) / tau
+    return by_this, by_next
 
 
 @twist_jacobians.mistake("tau forgotten", "The twist is the logarithm divided by tau, and so are its derivatives.")
@@ -70,12 +72,12 @@ def schur(H, g, n_poses):
     H : (n, n), positive definite. g : (n,). The first `n_poses` rows belong to the poses x, the others to the
     landmarks m. Returns the Schur complement S (n_poses, n_poses), x (n_poses,) and m (n - n_poses,).
     """
-    p = n_poses
-    U, E, V = H[:p, :p], H[:p, p:], H[p:, p:]
-    V_inverse = np.linalg.inv(V)
-    S = U - E @ V_inverse @ E.T
-    x = np.linalg.solve(S, g[:p] - E @ V_inverse @ g[p:])
-    return S, x, V_inverse @ (g[p:] - E.T @ x)
+    U, E, V = H[:n_poses, :n_poses], H[:n_poses, n_poses:], H[n_poses:, n_poses:]
+    a, b = g[:n_poses], g[n_poses:]
+    S = U - E @ np.linalg.inv(V) @ E.T
+    x = np.linalg.inv(S) @ (a - E @ np.linalg.inv(V) @ b)
+    m = np.linalg.inv(V) @ (b - E.T @ x)
+    return S, x, m
 
 
 @schur.mistake("right side not reduced", """Eliminating the landmarks changes the right side as well: a - E V^-1 b. With
@@ -129,7 +131,8 @@ def marquardt_step(r, J, damping):
     Returns the step delta (m,).
     """
     H = J.T @ J
-    return np.linalg.solve(H + damping * np.diag(np.diag(H)), -J.T @ r)
+    D = np.diag(np.diag(H))
+    return np.linalg.solve(H + damping * D, -J.T @ r)
 
 
 @marquardt_step.mistake("sign", "The step goes downhill: -J^T r on the right side.")
@@ -169,7 +172,10 @@ def robust_weight(r, c):
     r : (n, 3), the residuals of each measurement divided by their standard deviations. c : where a weight has fallen
     to one half. Returns cost (n,) = c^2 log(1 + |r|^2 / c^2) and weight (n,), its derivative by |r|^2.
     """
-    return batch.cauchy(np.sum(r**2, axis=-1), c)
+    q = np.sum(r**2, axis=1)
+    cost = c**2 * np.log(1 + q / c**2)
+    weight = 1 / (1 + q / c**2)
+    return cost, weight
 
 
 @robust_weight.mistake("root of the weight", """The weight multiplies the squared residual. Its root multiplies residual

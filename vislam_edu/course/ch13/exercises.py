@@ -88,7 +88,16 @@ def filter_predict(world_T_imu, covariance, twist, tau, noise):
     rad/s. tau : s. noise : `Noise`; `noise.twist_covariance` is that of one IMU sample, and an error of the sample
     moves the pose by tau J_r(tau twist) times itself. Returns world_T_imu and covariance.
     """
-    return _predicted(world_T_imu, covariance, twist, tau, noise)
+    step = se3.exp(tau * twist)
+    F = se3.adjoint(se3.exp(-tau * twist))
+    B = tau * se3.right_jacobian(tau * twist)
+    Q = noise.twist_covariance
+    n = len(covariance) - 6
+    P = covariance.copy()
+    P[n:, n:] = F @ covariance[n:, n:] @ F.T + B @ Q @ B.T
+    P[:n, n:] = covariance[:n, n:] @ F.T
+    P[n:, :n] = F @ covariance[n:, :n]
+    return world_T_imu @ step, P
 
 
 @filter_predict.mistake("cross-covariances not propagated", """Only the pose block was carried along: P_LR becomes P_LR
@@ -162,7 +171,21 @@ def filter_update(world_T_imu, landmarks, covariance, rows, pixels, camera, nois
     camera, `landmark_jacobian` (4, 3), `pose_jacobian` (4, 6). noise.pixel_covariance : (4, 4). Returns world_T_imu,
     landmarks and covariance.
     """
-    return _updated(world_T_imu, landmarks, covariance, rows, pixels, camera, noise)
+    n = 3 * len(landmarks)
+    H = np.zeros((4 * len(rows), n + 6))
+    V = np.zeros((4 * len(rows), 4 * len(rows)))
+    residual = np.zeros(4 * len(rows))
+    for i in range(len(rows)):
+        j = rows[i]
+        k = slice(4 * i, 4 * i + 4)
+        H[k, 3 * j:3 * j + 3] = camera.landmark_jacobian(world_T_imu, landmarks[j])
+        H[k, n:] = camera.pose_jacobian(world_T_imu, landmarks[j])
+        V[k, k] = noise.pixel_covariance
+        residual[k] = pixels[i] - camera.observe(world_T_imu, landmarks[j])[0]
+    K = covariance @ H.T @ np.linalg.inv(H @ covariance @ H.T + V)
+    delta = K @ residual
+    P = (np.eye(n + 6) - K @ H) @ covariance
+    return world_T_imu @ se3.exp(delta[n:]), landmarks + delta[:n].reshape(-1, 3), P
 
 
 @filter_update.mistake("pose sign flipped", "The pose part of H is -J [I, -s^]: the observation model holds T^-1.")
@@ -263,7 +286,21 @@ def filter_birth(world_T_imu, landmarks, covariance, pixels, camera, noise):
     `triangulation_covariance(point_cam, sigma_px)` (3, 3) is in the camera frame too; `imu_T_cam` (4, 4).
     noise.sigma_px : px. Returns landmarks (n+1, 3) and covariance (3n+9, 3n+9).
     """
-    return _born(world_T_imu, landmarks, covariance, pixels, camera, noise)
+    n = len(covariance) - 6
+    q = camera.triangulate(pixels)[0]
+    s = se3.transform(camera.imu_T_cam, q)
+    C = camera.triangulation_covariance(q, noise.sigma_px)
+    R, R_cam = world_T_imu[:3, :3], camera.imu_T_cam[:3, :3]
+    G = R @ np.hstack([np.eye(3), -se3.so3_hat(s)])
+    cross = G @ covariance[n:]
+    own = G @ covariance[n:, n:] @ G.T + R @ R_cam @ C @ R_cam.T @ R.T
+    P = np.zeros((n + 9, n + 9))
+    old = np.r_[:n, n + 3:n + 9]
+    P[np.ix_(old, old)] = covariance
+    P[n:n + 3, old] = cross
+    P[old, n:n + 3] = cross.T
+    P[n:n + 3, n:n + 3] = own
+    return np.vstack([landmarks, se3.transform(world_T_imu, s)]), P
 
 
 @filter_birth.mistake("no correlation with the pose", """The new landmark inherits the error of the pose: its cross
@@ -488,7 +525,12 @@ def curved_mean(f, baseline, point, covariance):
     f : px. baseline : m. point (3,) : m, mean of a landmark in the left camera's frame. covariance (3, 3) : m^2.
     Returns (4,), px, of u_left, v_left, u_right, v_right.
     """
-    return _curved(f, baseline, point, covariance)
+    x, y, z = point
+    C = covariance
+    u_left = f / z**2 * (x / z * C[2, 2] - C[0, 2])
+    v = f / z**2 * (y / z * C[2, 2] - C[1, 2])
+    u_right = f / z**2 * ((x - baseline) / z * C[2, 2] - C[0, 2])
+    return np.array([u_left, v, u_right, v])
 
 
 @curved_mean.mistake("half forgotten", "The second-order term of Taylor's series has a factor 1/2.")
@@ -537,7 +579,10 @@ def left_behind(landmarks, covariance, keep):
     landmarks (n, 3) : m, world. covariance (3n+6, 3n+6), landmarks before the pose. keep (n,) : bool, which stay.
     Returns the landmarks that stay and the covariance of these and the pose.
     """
-    return landmarks[keep], covariance[np.ix_(_rows(keep), _rows(keep))]
+    pose = np.ones(6, bool)
+    stay = np.concatenate([np.repeat(keep, 3), pose])
+    P = covariance[stay][:, stay]
+    return landmarks[keep], P
 
 
 @left_behind.mistake("conditioned", """This is what is known once the landmarks that leave are known *exactly*: the
