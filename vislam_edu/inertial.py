@@ -32,7 +32,6 @@ from .noise import Noise
 
 BIAS_SIGMA = np.repeat([0.1, 0.2], 3)  # rad/s and m/s^2, what a bias may be before anything was measured
 STILL = 0.02, 0.3  # rad/s and m/s^2: how far the samples of an IMU at rest may spread
-_FROM_IMU = np.r_[3:6, 0:3, 6:15]  # of the order [p, R, ...] of a filter: the place of each number of [R, p, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,7 +82,7 @@ def error_with_velocity(error_state: ErrorState) -> ErrorState:
     class WithVelocity(type(error_state)):  # type: ignore[misc]
         def retract_motion(self, world_T_imu: np.ndarray, values: np.ndarray, delta: np.ndarray) -> np.ndarray:
             as_pose = se3.pose(world_T_imu[:3, :3], values[:3])
-            moved, _ = self.retract(as_pose, np.empty((0, 3)), delta[_FROM_IMU[[6, 7, 8, 0, 1, 2]]])
+            moved, _ = self.retract(as_pose, np.empty((0, *self.point_shape)), delta[np.r_[6:9, 3:6]])
             return np.concatenate([moved[:3, 3], values[3:] + delta[9:]])
 
     return WithVelocity()
@@ -122,9 +121,9 @@ class AccelerometerDriven(motion.MotionModel):
         state, P = self.begin or initial(self.samples, self.times[0])
         T = se3.pose(state.rotation, state.position) if world_T_imu is None else np.array(world_T_imu)
         M = np.linalg.inv(to_imu_order(self.error_state, T, state.velocity))
-        biases = state.gyro_bias, state.accelerometer_bias
-        return Belief(T, np.empty((0, 3)), np.empty(0, dtype=int), motion.symmetric(M @ P @ M.T),
-                      np.concatenate([state.velocity, *biases]))
+        no_points = np.empty((0, *self.error_state.point_shape))
+        return Belief(T, no_points, np.empty(0, dtype=int), motion.symmetric(M @ P @ M.T),
+                      np.concatenate([state.velocity, state.gyro_bias, state.accelerometer_bias]))
 
     def transition(self, belief: Belief, k: int) -> motion.Transition:
         """From frame k to frame k + 1 along the samples between them, joined into one motion."""
@@ -138,7 +137,7 @@ class AccelerometerDriven(motion.MotionModel):
         F = N @ F @ to_imu_order(self.error_state, belief.world_T_imu, state.velocity)
         moved = self.error_state.landmark_transition
         return motion.Transition(after, np.concatenate([end.velocity, belief.motion[3:]]), F,
-                                 moved(belief.landmarks, (F - np.eye(15))[:6]), N, moved(belief.landmarks, N[:6]), Q)
+                                 moved(belief.points, (F - np.eye(15))[:6]), N, moved(belief.points, N[:6]), Q)
 
     def predict(self, belief: Belief, k: int) -> Belief:
         """The belief at frame k + 1 before the camera update."""
@@ -151,9 +150,12 @@ def state_of(belief: Belief) -> State:
     return State(T[:3, :3], T[:3, 3], values[:3], values[3:6], values[6:9])
 
 
-def true_states(start: np.ndarray, world_T_imu: np.ndarray, velocities: np.ndarray, biases: np.ndarray) -> list[State]:
-    """The truth in the world in which an estimate begins, at the pose `start` (4, 4): true poses (T, 4, 4), and (T, 3),
-    (T, 6)."""
+def true_states(start: np.ndarray, world_T_imu: np.ndarray, velocities: np.ndarray,
+                biases: np.ndarray) -> list[State]:
+    """The truth in the world in which an estimate begins, at the pose `start` (4, 4): its state at each of T frames.
+
+    world_T_imu : (T, 4, 4). velocities : (T, 3), m/s. biases : (T, 6), rad/s and m/s^2.
+    """
     W = in_world_of(start, world_T_imu[0])
     poses, velocities = W @ world_T_imu, velocities @ W[:3, :3].T
     return [State(T[:3, :3], T[:3, 3], v, b[:3], b[3:]) for T, v, b in zip(poses, velocities, biases)]
@@ -200,8 +202,8 @@ def initial(samples: ImuSamples, start: float, least: float = 0.3) -> tuple[Stat
     """State and covariance (15, 15), order of `imu`, at time `start`, s, from a stand-still of `least` s.
 
     Where there is none the mean of the accelerometer over that time is still the best guess of where up is, but it
-    holds the car's own acceleration: 1 m/s^2 is a tilt of 0.1 rad. The biases are then zero and the velocity unknown, each with
-    its full uncertainty, and the cameras have to find them.
+    holds the car's own acceleration: 1 m/s^2 is a tilt of 0.1 rad. The biases are then zero and the velocity unknown,
+    each with its full uncertainty, and the cameras have to find them.
     """
     end = still_until(samples, start)
     still = end - start >= least

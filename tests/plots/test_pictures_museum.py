@@ -10,7 +10,7 @@ from matplotlib.colors import to_hex
 from matplotlib.text import Text
 
 from vislam_edu import simulate
-from vislam_edu.course.ch10.broken_filters import PIECES, visit
+from vislam_edu.course.ch10.broken_filters import VARIANTS, visit
 from vislam_edu.course.ch10.panel import LIMITS, MuseumPicture, gallery, view
 from vislam_edu.error_state import RightPerturbation
 from vislam_edu.noise import Noise
@@ -27,7 +27,7 @@ def drive():
 @pytest.fixture(scope="module")
 def visits(drive):
     start = consistency.initial_pose(drive, consistency.FilterConfig(Noise(), RightPerturbation()), 1)
-    return [visit(PIECES[name], drive, Noise(), start) for name in ("right", "sign", "bearings", "birth")]
+    return [visit(VARIANTS[name], drive, Noise(), start) for name in ("right", "sign", "bearings", "birth")]
 
 
 @pytest.fixture(scope="module")
@@ -106,7 +106,7 @@ def test_gallery_is_large_enough_to_read(visits, drive):
 
 def test_titles_of_the_gallery_do_not_run_into_each_other(visits, drive):
     """With the longest title there is in every map."""
-    longest = max((piece.title for piece in PIECES.values()), key=len)
+    longest = max((piece.title for piece in VARIANTS.values()), key=len)
     figure = gallery([replace(visits[1], title=longest)] * 8, drive)
     figure.draw_without_rendering()
     titles = [text.get_window_extent() for axes in figure.axes[:4] for text in axes.findobj(Text)

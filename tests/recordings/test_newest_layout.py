@@ -1,9 +1,11 @@
 """The layout of 2025 and 2026, written in every reading that is met: the camera that comes out is the true one."""
 
+import pickle
 from pathlib import Path
 
 import numpy as np
 import pytest
+from memory import peak
 
 from vislam_edu import cli, metrics, recordings, se3
 from vislam_edu.drive import DriveError
@@ -157,6 +159,36 @@ def test_a_recording_of_images_only_says_what_to_do(tmp_path, features):
     path = written(tmp_path / "a.npy", "imu_T_regular", features=features)
     with pytest.raises(DriveError, match=r"a.npy: features: .*`vislam_edu track` makes tracks"):
         recordings.load(path)
+
+
+def test_a_file_of_images_and_one_without_features_say_what_to_do(tmp_path):
+    np.save(tmp_path / "imgs.npy", {"cam_imgs_L": [np.zeros((2, 3), np.uint8)] * 2, "cam_imgs_R": []})
+    with pytest.raises(DriveError, match=r"imgs.npy: holds images, not a recording; `vislam_edu track`"):
+        recordings.load(tmp_path / "imgs.npy")
+    fields = np.load(written(tmp_path / "a.npy", "imu_T_regular"), allow_pickle=True).item()
+    fields.pop("features")
+    for path, write in ((tmp_path / "a.npy", np.save), (tmp_path / "a.npz", lambda path, d: np.savez(path, **d))):
+        write(path, fields)
+        with pytest.raises(DriveError, match=rf"{path.name}: features: missing, .* `vislam_edu track`"):
+            recordings.load(path)
+
+
+def test_a_bare_pickle_is_read(tmp_path):
+    fields = np.load(written(tmp_path / "a.npy", "imu_T_regular"), allow_pickle=True).item()
+    (tmp_path / "a.pkl").write_bytes(pickle.dumps(fields))
+    assert_sees_what_it_should(recordings.load(tmp_path / "a.pkl"))
+
+
+def test_a_pickled_recording_needs_little_more_memory_than_its_dense_array(tmp_path):
+    """One of the course's has (4, 5376, 3755) entries, 646 MB, and has to be read within 0.9 GB."""
+    n_landmarks, n_frames, life = 2000, 2000, 40
+    features = np.full((4, n_landmarks, n_frames), -1.0)
+    for i in range(n_landmarks):
+        features[:, i, (first := i * (n_frames - life) // n_landmarks):first + life] = 300.0
+    path = written(tmp_path / "a.npy", "imu_T_regular", K_RIGHT, TURNED, features=features, v_t=np.zeros((n_frames, 3)),
+                   w_t=np.zeros((n_frames, 3)), timestamps=0.03 * np.arange(n_frames))
+    del features
+    assert peak(lambda: recordings.load(path, extrinsics="imu_T_regular")) < 1.5 * 32 * n_landmarks * n_frames
 
 
 @pytest.mark.parametrize("scale", [1e3, 1e9])

@@ -70,3 +70,11 @@ def read_recording(arguments):
     if (arguments.first, arguments.stop) != (0, None):
         drive = drive.slice(arguments.first, arguments.stop)
     return drive
+
+
+def ground_truth_doubts(arguments, drive) -> list[str]:
+    """What speaks against the file given with --ground-truth: a sentence, or none."""
+    from ..audit import ground_truth_checks
+
+    doubt = ground_truth_checks.doubt(drive) if arguments.ground_truth is not None else None
+    return [] if doubt is None else [f"{arguments.ground_truth}: {doubt}"]

@@ -88,6 +88,15 @@ def mounted(drive: Drive, K_right: np.ndarray, left: np.ndarray, right: np.ndarr
     return drive.replace(history=(f"extrinsics read as {best}: {why}", *drive.history))
 
 
+def first_that_fits(left: np.ndarray, right: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """imu_T_left and left_T_right by the first reading that puts the right camera on the left one's +x axis."""
+    for reading in READINGS:
+        imu_T_left, imu_T_right = imu_T_cameras(reading, left, right)
+        if _beside(se3.inverse(imu_T_left) @ imu_T_right):
+            return imu_T_left, se3.inverse(imu_T_left) @ imu_T_right
+    raise DriveError("extL_T_imu, extR_T_imu: no reading puts the right camera on the left one's +x axis")
+
+
 def prediction_error(drive: Drive) -> tuple[float, float]:
     """Median distance, px, between tracks and where the IMU moves them in 0.3 s, and the same for no motion.
 

@@ -162,8 +162,8 @@ def open_fields(path):
                 raise DriveError(f"is {what}")
         try:
             archive = zipfile.ZipFile(file)
-        except Exception as error:  # a damaged archive can raise anything
-            raise DriveError(f"neither an npz nor a npy file, or cut short ({type(error).__name__})") from None
+        except Exception:  # a damaged archive can raise anything
+            raise DriveError("neither an npz nor a npy file, or cut short") from None
         with archive:
             yield Fields(_Members(archive))
 
@@ -200,7 +200,7 @@ class _Members(Mapping):
         """Shape, whether in Fortran order and dtype of a member, and its numbers piece by piece, as they are stored."""
         info = self.infos[name]
         with self.archive.open(info) as member:
-            shape, fortran, dtype = _header(member)
+            shape, fortran, dtype = npy_header(member)
             start = member.tell()
         if dtype.kind not in "fiubUS" or not 0 <= prod(shape) * dtype.itemsize <= info.file_size:
             raise DriveError(f"holds {_kind(dtype)} of shape {shape} in {info.file_size} bytes, expected an array of "
@@ -218,7 +218,7 @@ class _Members(Mapping):
                 count -= len(raw) // dtype.itemsize
 
 
-def _header(file) -> tuple[tuple[int, ...], bool, np.dtype]:
+def npy_header(file) -> tuple[tuple[int, ...], bool, np.dtype]:
     """Shape, whether in Fortran order, and dtype of an npy file, read from its start."""
     with warnings.catch_warnings():
         warnings.simplefilter("error")  # headers of Python 2 warn
@@ -227,7 +227,7 @@ def _header(file) -> tuple[tuple[int, ...], bool, np.dtype]:
 
 def _pickled_dictionary(file, bare):
     try:
-        shape, _, dtype = ((), False, np.dtype(object)) if bare else _header(file)
+        shape, _, dtype = ((), False, np.dtype(object)) if bare else npy_header(file)
     except Exception:  # a damaged header can raise anything
         raise DriveError("its npy header cannot be read") from None
     if not dtype.hasobject:

@@ -8,9 +8,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from .. import se3
-from ..drive import Drive, DriveError
+from ..drive import LARGEST, Drive, DriveError
 from ..stereo import StereoCamera
-from ..validation import LARGEST
 from . import extrinsics as mounting
 from . import files, shipped
 from .features import drive_from_features, drive_from_pieces
@@ -44,6 +43,8 @@ def load(name, extrinsics: str | None = None) -> Drive:
             raise DriveError("extrinsics: can be chosen only for a file with extL_T_imu and extR_T_imu")
         if "format" in fields:
             return _own_drive(fields)
+        if "cam_imgs_L" in fields:
+            raise DriveError("holds images, not a recording; `vislam_edu track` makes tracks from them")
         name = {"name": path.stem, "source": f"UCSD ECE276A, {path.name}"}
         if newest:
             return _pickled_layout(fields, name, extrinsics)
@@ -91,19 +92,27 @@ def load_ground_truth(path, drive) -> Drive:
     KITTI: 12 numbers a row, the upper 3 x 4 of the pose. Row k belongs to frame k, so slice a drive after
     this, not before; there may be fewer rows than frames.
     TUM: `time x y z qx qy qz qw` a row. A frame takes the row nearest in time if it is within half a frame.
+    EuRoC, TUM-VI: rows with commas, `time [ns], x, y, z, qw, qx, qy, qz` and perhaps velocity and biases (8 or 17
+    numbers): poses of the IMU, from which those of the camera are made.
     Times are absolute, or count from the drive's start when absolute ones would not overlap the drive.
     Lines that start with # are skipped. Frames without a row get NaN.
+    Whether the poses can be those of this drive is for `audit.ground_truth_checks.doubt` to find out.
     Raises DriveError naming the file and the line or row.
     """
     path = Path(path)
     with files.errors_name(path):
-        rows = _read_rows(path)
+        rows, commas = rows_of_numbers(path)
+        if commas and rows.shape[1] in (8, 17):
+            rows = np.column_stack([rows[:, 0] / 1e9, rows[:, 1:4], rows[:, 5:8], rows[:, 4]])
+            poses = _tum_poses(rows, drive) @ drive.camera.imu_T_cam
+            return drive.replace(truth_world_T_cam=poses, truth_landmarks=None)
         if rows.shape[1] == 12:
             poses = _kitti_poses(rows, drive)
         elif rows.shape[1] == 8:
             poses = _tum_poses(rows, drive)
         else:
-            raise DriveError(f"{rows.shape[1]} numbers a row, expected 12 (KITTI) or 8 (TUM)")
+            raise DriveError(f"{rows.shape[1]} numbers a row, expected 12 (KITTI), 8 (TUM), or 8 or 17 with commas "
+                             "(csv of EuRoC and TUM-VI)")
         if drive.left_T_cam is not None:
             poses = poses @ drive.left_T_cam
         return drive.replace(truth_world_T_cam=poses, truth_landmarks=None)
@@ -155,6 +164,8 @@ def _own_drive(fields):
     camera = _camera(fields.numbers("K"), fields.number("baseline"), fields.numbers("cam_T_imu"))
     values = {key: fields.numbers(key) for key in _OWN_ARRAYS}
     values |= {key: fields.numbers(key) for key in _OWN_OPTIONAL if key in fields}
+    if "left_T_cam" in values:
+        _rigid("left_T_cam", values["left_T_cam"])
     values |= {key: files.shown(fields.text(key)) for key in _OWN_TEXTS}
     values["n_landmarks"] = _count(fields, "n_landmarks")
     history = fields.text("history")
@@ -236,24 +247,26 @@ def _camera(K, baseline, cam_T_imu, key="K"):
         raise DriveError(str(error) if key == "K" else f"{key}: {error}") from None
 
 
-def _read_rows(path):
-    rows = []
+def rows_of_numbers(path):
+    """The numbers of a text file (n, m), and whether commas separate them."""
+    rows, commas = [], False
     with files.open_regular(path) as file:
         text = file.read(_LARGEST_TEXT + 1)
     if len(text) > _LARGEST_TEXT:
         raise DriveError(f"more than {_LARGEST_TEXT >> 20} MB, expected one row of text a frame")
-    for number, line in enumerate(text.decode("utf-8").splitlines(), start=1):
+    for number, line in enumerate(text.decode("utf-8-sig").splitlines(), start=1):
         if not line.strip() or line.lstrip().startswith("#"):
             continue
         try:
-            rows.append([float(word) for word in line.split()])
+            rows.append([float(word) for word in line.replace(",", " ").split()])
         except ValueError:
             raise DriveError(f"line {number}: {line.strip()[:60]!r} is not a row of numbers") from None
         if len(rows[-1]) != len(rows[0]) or not np.isfinite(rows[-1]).all():
             raise DriveError(f"line {number}: expected {len(rows[0])} finite numbers, as in the first row")
+        commas |= "," in line
     if not rows:
         raise DriveError("no pose in it")
-    return np.array(rows)
+    return np.array(rows), commas
 
 
 def _kitti_poses(rows, drive):

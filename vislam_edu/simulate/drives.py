@@ -8,7 +8,7 @@ The defaults resemble KITTI and the report's recordings: the camera, 10 m/s, abo
 tracks of 5 to 100 frames that never come back, new ones born in bursts because a tracker looks for corners
 only now and then.
 
-`python -m vislam_edu.simulate [directory]` writes the two drives that the notebooks use.
+`python -m vislam_edu.simulate.drives [directory]` writes the two drives that the notebooks use.
 """
 
 import sys
@@ -189,7 +189,8 @@ def along(world_T_imu, times, seed=0, *, visible=60, life=(5, 100), mean_life=50
           depth=(5.0, 120.0), nearest=NEAREST, returning=0.0, camera=None, image_size=IMAGE_SIZE, name="path"):
     """A noise-free `Drive` along any path: poses (T, 4, 4) at times (T,), s.
 
-    nearest : m, a tracker loses what comes closer. For the other arguments see `perfect_street_loop`. The world of the ground truth is that of the poses.
+    nearest : m, a tracker loses what comes closer. For the other arguments see `perfect_street_loop`. The world of
+    the ground truth is that of the poses.
     """
     camera = kitti_camera() if camera is None else camera
     step = se3.log(se3.inverse(world_T_imu[:-1]) @ world_T_imu[1:]) / np.diff(times)[:, None]

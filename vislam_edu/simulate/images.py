@@ -12,7 +12,7 @@ from functools import cached_property
 import numpy as np
 from scipy import ndimage
 
-from .. import se3
+from .. import se3, stereo
 from ..drive import Drive
 from ..lens import Lens, Rig
 from ..stereo import StereoCamera
@@ -70,7 +70,7 @@ class StreetImages:
         return images[0], images[1]
 
     def render(self, k: int, side: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
-        """Grey values without noise and depths (m, inf in the sky) of a camera `side` m to the right, (height, width)."""
+        """Grey values without noise and depths, m: (height, width), of a camera `side` m to the right."""
         width, height = self.size
         v, u = np.mgrid[:height, :width].astype(float)
         return self.look(k, np.stack([u, v], axis=-1), side)
@@ -80,8 +80,7 @@ class StreetImages:
         assert self.drive.truth_world_T_cam is not None
         K, world_T_cam = self.drive.camera.K, self.drive.truth_world_T_cam[k]
         origin = se3.transform(world_T_cam, np.array([side, 0.0, 0.0]))
-        cam_ray = np.concatenate([(pixels - K[:2, 2]) / np.diag(K)[:2], np.ones(pixels.shape[:-1] + (1,))], axis=-1)
-        ray = cam_ray @ world_T_cam[:3, :3].T
+        ray = stereo.bearing(K, pixels) @ world_T_cam[:3, :3].T
         depth, axis = self._first_surface(origin, ray)
         hit = np.isfinite(depth)
         point = origin + np.where(hit, depth, 0.0)[..., None] * ray
@@ -95,8 +94,8 @@ class StreetImages:
         """Depths (...) along rays (..., 3) to ground, block or outer walls, inf where none, and the axis each faces."""
         with np.errstate(divide="ignore", invalid="ignore"):
             ground = np.where(ray[..., 2] < 0, (_GROUND - origin[2]) / ray[..., 2], np.inf)
-            slabs = [np.sort([(low - origin[:2]) / ray[..., :2], (high - origin[:2]) / ray[..., :2]], axis=0)
-                     for low, high in ((self.low + _WIDTH, self.high - _WIDTH), (self.low - _WIDTH, self.high + _WIDTH))]
+            slabs = [np.sort([(self.low + width - origin[:2]) / ray[..., :2],
+                              (self.high - width - origin[:2]) / ray[..., :2]], axis=0) for width in (_WIDTH, -_WIDTH)]
         enter, leave = slabs[0][0].max(axis=-1), slabs[0][1].min(axis=-1)
         block = np.where((enter < leave) & (enter > 0), enter, np.inf)
         walls = slabs[1][1].min(axis=-1)
@@ -106,9 +105,8 @@ class StreetImages:
             candidates.append(np.where(up < top, depth, np.inf))
         axes = np.stack([np.full(ground.shape, 2), slabs[0][0].argmax(axis=-1), slabs[1][1].argmin(axis=-1)])
         nearest = np.argmin(candidates, axis=0)
-        pick = nearest[None]
-        return (np.take_along_axis(np.stack(candidates), pick, axis=0)[0],
-                np.take_along_axis(axes, pick, axis=0)[0])
+        depth, axis = (np.take_along_axis(values, nearest[None], axis=0)[0] for values in (np.array(candidates), axes))
+        return depth, axis
 
     @cached_property
     def _octaves(self) -> np.ndarray:
@@ -132,27 +130,27 @@ def street_images(seed: int = 0, *, frames: int = 100, tau: float = 0.1, speed: 
                   camera: StereoCamera | None = None, size: tuple[int, int] = SMALL) -> StreetImages:
     """Images along `frames` frames of a flat street loop of 400 m; the same seed gives the same ones.
 
-    tau : s between frames. speed : m/s, on average. sigma_grey : grey values. camera, size : by default `small_camera()`
-    and its (width, height), px.
+    tau : s between frames. speed : m/s, on average. sigma_grey : grey values. camera, size : by default
+    `small_camera()` and its (width, height), px.
     """
     camera = small_camera() if camera is None else camera
     loop_length = max(drives.SHORTEST_LOOP, speed * tau * frames)
     drive = drives.perfect_street_loop(seed, frames=frames, tau=tau, speed=speed, hills=0.0, camera=camera,
                                        loop_length=loop_length, image_size=size, name="street images")
-    drive = drive.keep_landmarks(np.zeros(drive.n_landmarks, bool))
+    drive = drive.keep_landmarks(np.zeros(drive.n_landmarks, bool)).replace(truth_landmarks=None)
     lap = np.array(streets.centre_line(loop_length)[3:])
     return StreetImages(drive, size, seed, sigma_grey, lap.min(axis=1), lap.max(axis=1))
 
 
 def with_true_landmarks(images: StreetImages, drive: Drive) -> Drive:
     """The drive, tracked in these images, with the truth: each landmark is the place that its first look shows."""
-    landmarks = np.full((drive.n_landmarks, 3), np.nan)
+    landmarks, poses = np.full((drive.n_landmarks, 3), np.nan), images.drive.truth_world_T_cam
+    assert poses is not None
     for k in range(drive.n_frames):
         ids, pixels = drive.observed(k)
         new = drive.first_seen[ids] == k
         depth = images.look(k, pixels[new, :2])[1]
-        K, world_T_cam = images.drive.camera.K, images.drive.truth_world_T_cam[k]
-        rays = np.concatenate([(pixels[new, :2] - K[:2, 2]) / np.diag(K)[:2], np.ones((new.sum(), 1))], axis=-1)
-        landmarks[ids[new]] = se3.transform(world_T_cam, depth[:, None] * rays)
-    landmarks[~np.isfinite(landmarks).all(axis=1)] = np.nan
-    return drive.replace(truth_world_T_cam=images.drive.truth_world_T_cam, truth_landmarks=landmarks)
+        K = images.drive.camera.K
+        rays = stereo.bearing(K, pixels[new, :2])
+        landmarks[ids[new]] = se3.transform(poses[k], np.where(np.isfinite(depth), depth, np.nan)[:, None] * rays)
+    return drive.replace(truth_world_T_cam=poses, truth_landmarks=landmarks)

@@ -13,7 +13,7 @@ from functools import partial
 
 import numpy as np
 
-from .. import batch, kalman, mapping, motion, odometry, window_slam
+from .. import batch, kalman, mapping, metrics, motion, odometry, window_slam
 from ..drive import Drive
 from ..error_state import RightPerturbation, world_landmark_covariance
 from ..mapping import MapBelief
@@ -100,10 +100,9 @@ class Result:
         IMU alone would.
         """
         found = self.slam.warnings(self.gate)
-        visible = self.drive.visible.mean()
-        if visible < FEW_TRACKS:
-            found.append(f"{visible:.0f} tracks in view on average where a filter of this kind needs {FEW_TRACKS}: "
-                         "dead reckoning may be the better path")
+        if has_few_tracks(self.drive):
+            found.append(f"{self.drive.visible.mean():.0f} tracks in view on average where a filter of this kind "
+                         f"needs {FEW_TRACKS}: dead reckoning is the better path")
         ends = [np.sqrt(np.trace(t.covariance[-1, :3, :3])) for t in (self.slam.trajectory, self.dead_reckoning)]
         if ends[0] > ends[1]:
             found.append(f"by its own covariance the filter ends uncertain by {ends[0]:.2g} m, dead reckoning by "
@@ -118,12 +117,24 @@ class Smoothed:
     solution: batch.Solution
     seconds: float
 
+    @property
+    def warnings(self) -> list[str]:
+        """What speaks against the solution, in words; empty when nothing does."""
+        solution, dof, found = self.solution, max(self.solution.problem.dof, 1), []
+        if not solution.converged:
+            found.append(f"the batch estimate had not come to rest after {solution.iterations} iterations: its path is "
+                         "on the way to a minimum, not there")
+        if not solution.cost_per_dof <= MOST_COST * metrics.chi2_band(dof)[1] / dof:
+            found.append(f"the cost of the batch estimate is {solution.cost_per_dof:.2f} per degree of freedom where 1 "
+                         "is right: it ended in a wrong minimum, or the noise is not what is assumed")
+        return found
+
 
 def run_batch(problem, world_T_imu) -> Smoothed:
     """The batch estimate, from the filter's poses (T, 4, 4) on. problem : `batch.Problem`."""
     begin = time.perf_counter()
-    tolerance = REAL_TOLERANCE if problem.loss is batch.cauchy else 1e-2
-    solution = batch.solve(problem, batch.start(problem, world_T_imu), tolerance)
+    solution = batch.solve(problem, batch.start(problem, world_T_imu),
+                           still=STILL if problem.loss is batch.cauchy else 0.0)
     return Smoothed(solution, time.perf_counter() - begin)
 
 
@@ -133,8 +144,14 @@ def no_progress(frames, **_):
 
 
 FEW_TRACKS = 10  # in view on average
-REAL_TOLERANCE = 100.0  # of the batch's cost: robust weights settle slowly, and the path has long stopped moving
+MOST_COST = 1.2  # of the batch, over the upper end of its chi-square band
+STILL = 0.05  # m: what no pose of a real drive moves in the batch's last iteration
 TRACK_SIGMA_PX = 1.0  # px. From frame to frame tracks scatter by 0.2 px, but over their life they slip.
+
+
+def has_few_tracks(drive) -> bool:
+    """Whether a drive's tracks are too few for a filter of this kind to improve on dead reckoning."""
+    return bool(drive.visible.mean() < FEW_TRACKS)
 
 
 def noise_of_real_drive(measured) -> Noise:

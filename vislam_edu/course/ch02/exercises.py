@@ -48,16 +48,13 @@ def _(K, uv):
     return np.append(uv - K[:2, 2], 1.0)
 
 
-@bearing.mistake("scaled to length one", """A bearing here has depth one (third entry 1), so that depth times bearing is
-the point. Leave out the normalisation.""")
-def _(K, uv):
-    z = stereo.bearing(K, uv)
-    return z / np.linalg.norm(z)
+bearing.slip("scaled to length one", """A bearing here has depth one (third entry 1), so that depth times bearing is
+the point. Leave out the normalisation.""",
+             ("np.array([x, y, 1.0])", "np.array([x, y, 1.0]) / np.linalg.norm(np.array([x, y, 1.0]))"))
 
 
-@bearing.mistake("one focal length for both axes", "u goes with f_u = K[0, 0], v with f_v = K[1, 1].")
-def _(K, uv):
-    return np.append((uv - K[:2, 2]) / K[0, 0], 1.0)
+bearing.slip("one focal length for both axes", "u goes with f_u = K[0, 0], v with f_v = K[1, 1].",
+             ("K[1, 1]", "K[0, 0]"))
 
 
 def two_views(rng):
@@ -117,10 +114,8 @@ def _(K, uv1, uv2, R, p):
     return _met(stereo.bearing(K, uv1), stereo.bearing(K, uv2), R.T, p)
 
 
-@triangulate_bearings.mistake("baseline of the wrong sign", """p points from camera 1 to camera 2. With the other sign
-the point comes out behind the cameras.""")
-def _(K, uv1, uv2, R, p):
-    return _met(stereo.bearing(K, uv1), stereo.bearing(K, uv2), R, -p)
+triangulate_bearings.slip("baseline of the wrong sign", """p points from camera 1 to camera 2. With the other sign
+the point comes out behind the cameras.""", ("b)", "-b)"))
 
 
 @triangulate_bearings.mistake("expressed in camera 2", """This is the point in the frame of camera 2. Its depth along
@@ -129,11 +124,8 @@ def _(K, uv1, uv2, R, p):
     return R.T @ (_met(stereo.bearing(K, uv1), stereo.bearing(K, uv2), R, p) - p)
 
 
-@triangulate_bearings.mistake("first depth on the second bearing", """l1 is the depth along z1. Times z2 it is no point
-that anyone sees.""")
-def _(K, uv1, uv2, R, p):
-    z1, z2 = stereo.bearing(K, uv1), stereo.bearing(K, uv2)
-    return _met(z1, z2, R, p)[2] * z2
+triangulate_bearings.slip("first depth on the second bearing", """l1 is the depth along z1. Times z2 it is no point
+that anyone sees.""", ("* z1", "* z2"))
 
 
 # --- disparity --------------------------------------------------------------------------------------------
@@ -180,23 +172,16 @@ def triangulate(K, baseline, pixels):
     return np.column_stack([x, y, z]), ok
 
 
-@triangulate.mistake("disparity at or below zero triangulated", """Noise can bring the disparity of a far point to zero
-or below. Its depth would be infinite or behind the camera: ok must be False there.""")
-def _(K, baseline, pixels):
-    return _by_disparity(K, baseline, pixels, pixels[:, 0] - pixels[:, 2]), np.ones(len(pixels), bool)
+triangulate.slip("disparity at or below zero triangulated", """Noise can bring the disparity of a far point to zero
+or below. Its depth would be infinite or behind the camera: ok must be False there.""", ("d >", "u_left >"))
 
 
-@triangulate.mistake("zero disparity let through", "A disparity of exactly zero is infinitely far: d > 0, not d >= 0.")
-def _(K, baseline, pixels):
-    d = pixels[:, 0] - pixels[:, 2]
-    return _by_disparity(K, baseline, pixels, d), d >= 0
+triangulate.slip("zero disparity let through", "A disparity of exactly zero is infinitely far: d > 0, not d >= 0.",
+                 ("> 0", "> -1"))
 
 
-@triangulate.mistake("negative disparity let through", """Where u_right lies to the right of u_left the point comes out
-behind the camera: d > 0, not d != 0.""")
-def _(K, baseline, pixels):
-    d = pixels[:, 0] - pixels[:, 2]
-    return _by_disparity(K, baseline, pixels, d), d != 0
+triangulate.slip("negative disparity let through", """Where u_right lies to the right of u_left the point comes out
+behind the camera: d > 0, not d != 0.""", ("d > 0", "d != 0"))
 
 
 @triangulate.mistake("absolute disparity", """A negative disparity is a wrong measurement; its absolute value makes it
@@ -206,11 +191,8 @@ def _(K, baseline, pixels):
     return _by_disparity(K, baseline, pixels, d), d > 0
 
 
-@triangulate.mistake("disparity of the wrong sign", """Seen from the right camera everything moves left: d = u_left -
-u_right.""")
-def _(K, baseline, pixels):
-    d = pixels[:, 2] - pixels[:, 0]
-    return _by_disparity(K, baseline, pixels, d), d > 0
+triangulate.slip("disparity of the wrong sign", """Seen from the right camera everything moves left: d = u_left -
+u_right.""", ("u_left - u_right", "u_right - u_left"))
 
 
 @triangulate.mistake("pixels used as bearings", "Depth times [u, v, 1] is no point: use the bearing K^-1 [u, v, 1].")
@@ -219,10 +201,8 @@ def _(K, baseline, pixels):
     return _by_disparity(K, baseline, pixels, d, np.column_stack([pixels[:, :2], np.ones(len(pixels))])), d > 0
 
 
-@triangulate.mistake("baseline forgotten", "f_u / d has no unit; times the baseline it is a depth in metres.")
-def _(K, baseline, pixels):
-    d = pixels[:, 0] - pixels[:, 2]
-    return _by_disparity(K, 1.0, pixels, d), d > 0
+triangulate.slip("baseline forgotten", "f_u / d has no unit; times the baseline it is a depth in metres.",
+                 ("baseline ", "ok "))
 
 
 @triangulate.mistake("principal point forgotten", "u is counted from the corner of the image; the axis is at c_u, c_v.")
@@ -262,16 +242,11 @@ def triangulation_covariance(K, baseline, point, sigma_px):
     return sigma_px**2 * np.linalg.inv(H.T @ H)
 
 
-@triangulation_covariance.mistake("sigma not squared", "V holds variances: sigma_px squared.")
-def _(K, baseline, point, sigma_px):
-    H = _H(K, baseline, point)
-    return sigma_px * np.linalg.inv(H.T @ H)
+triangulation_covariance.slip("sigma not squared", "V holds variances: sigma_px squared.", ("2 ", "1 "))
 
 
-@triangulation_covariance.mistake("information, not covariance", "H^T V^-1 H is the information matrix; invert it.")
-def _(K, baseline, point, sigma_px):
-    H = _H(K, baseline, point)
-    return H.T @ H / sigma_px**2
+triangulation_covariance.slip("information, not covariance", "H^T V^-1 H is the information matrix; invert it.",
+    ("sigma_px**2 * np.linalg.inv(H.T @ H)", "np.linalg.inv(sigma_px ** 2 * np.linalg.inv(H.T @ H))"))
 
 
 @triangulation_covariance.mistake("depth variance only", """d z / d disparity gives the variance along the axis alone; x
@@ -288,8 +263,5 @@ def _(K, baseline, point, sigma_px):
     return sigma_px**2 * np.linalg.inv(H.T @ H)
 
 
-@triangulation_covariance.mistake("propagated through H", """H V H^T takes a covariance of a point to pixels. The way
-back is (H^T V^-1 H)^-1.""")
-def _(K, baseline, point, sigma_px):
-    H = _H(K, baseline, point)
-    return sigma_px**2 * H.T @ H
+triangulation_covariance.slip("propagated through H", """H V H^T takes a covariance of a point to pixels. The way
+back is (H^T V^-1 H)^-1.""", ("np.linalg.inv(H.T @ H)", "H.T @ H"))

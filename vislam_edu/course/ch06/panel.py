@@ -8,7 +8,8 @@ from matplotlib.collections import PolyCollection
 from ... import metrics, odometry, window_slam
 from ...error_state import RightInvariant, RightPerturbation
 from ...noise import Noise
-from ...plots.style import COLOURS, ellipse_points, two_digits
+from ...plots.style import COLOURS, ellipse_points
+from ...plots.text import two_digits
 from ...studies.runs import record
 from ...widgets.canvas import Decades, Number, Picture, Switch
 from ...widgets.history import frame_nis

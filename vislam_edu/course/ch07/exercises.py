@@ -43,23 +43,16 @@ def invariant_noise(world_T_imu, landmarks, body_noise):
     return np.vstack(rows)
 
 
-@invariant_noise.mistake("landmarks left out", """The landmarks stand still, but their error is expressed relative to a
-world that turns with the pose's error: m^ B_R. Without it the filter is inconsistent again.""")
-def _(world_T_imu, landmarks, body_noise):
-    return _stacked(np.zeros((len(landmarks), 3, 6)), se3.adjoint(world_T_imu) @ body_noise)
+invariant_noise.slip("landmarks left out", """The landmarks stand still, but their error is expressed relative to a
+world that turns with the pose's error: m^ B_R. Without it the filter is inconsistent again.""", ("m)", "0 * m)"))
 
 
-@invariant_noise.mistake("world and body mixed", """The IMU's noise is expressed in the body frame, the invariant error
-in the world: the Adjoint of the pose stands between them.""")
-def _(world_T_imu, landmarks, body_noise):
-    return _stacked(se3.so3_hat(landmarks) @ body_noise[3:], body_noise)
+invariant_noise.slip("world and body mixed", """The IMU's noise is expressed in the body frame, the invariant error
+in the world: the Adjoint of the pose stands between them.""", ("se3.adjoint(world_T_imu)", "np.eye(6)"))
 
 
-@invariant_noise.mistake("sign of m^", """A turn x of the world moves a landmark by x^ m = -m^ x, which its error has to
-make good: +m^ B_R.""")
-def _(world_T_imu, landmarks, body_noise):
-    B = se3.adjoint(world_T_imu) @ body_noise
-    return _stacked(-se3.so3_hat(landmarks) @ B[3:], B)
+invariant_noise.slip("sign of m^", """A turn x of the world moves a landmark by x^ m = -m^ x, which its error has to
+make good: +m^ B_R.""", ("m)", "-m)"))
 
 
 @invariant_noise.mistake("p^ R of the Adjoint forgotten", """The error turns about the world's origin, not about the
@@ -70,11 +63,8 @@ def _(world_T_imu, landmarks, body_noise):
     return _stacked(se3.so3_hat(landmarks) @ B[3:], B)
 
 
-@invariant_noise.mistake("Adjoint of the inverse", """From the body into the world goes Ad(world_T_imu), not that of its
-inverse.""")
-def _(world_T_imu, landmarks, body_noise):
-    B = se3.adjoint(se3.inverse(world_T_imu)) @ body_noise
-    return _stacked(se3.so3_hat(landmarks) @ B[3:], B)
+invariant_noise.slip("Adjoint of the inverse", """From the body into the world goes Ad(world_T_imu), not that of its
+inverse.""", ("world_T_imu)", "np.linalg.inv(world_T_imu))"))
 
 
 def measurements(rng):
@@ -106,30 +96,20 @@ def _(J, world_T_imu):
     return H, np.concatenate([-H, H @ se3.so3_hat(world_T_imu[:3, 3])], axis=-1)
 
 
-@invariant_jacobian.mistake("expressed in the body frame", """-J alone is the right perturbation's block, expressed in
-the body frame. Here the position error is expressed in the world: -J R^T.""")
-def _(J, world_T_imu):
-    return J @ world_T_imu[:3, :3].T, np.concatenate([-J, np.zeros_like(J)], axis=-1)
+invariant_jacobian.slip("expressed in the body frame", """-J alone is the right perturbation's block, expressed in
+the body frame. Here the position error is expressed in the world: -J R^T.""", ("[-H_landmark", "[-J"))
 
 
-@invariant_jacobian.mistake("sign of the position", """Landmark and position enter as m - p: the position's block is
-minus the landmark's.""")
-def _(J, world_T_imu):
-    H = J @ world_T_imu[:3, :3].T
-    return H, np.concatenate([H, np.zeros_like(H)], axis=-1)
+invariant_jacobian.slip("sign of the position", """Landmark and position enter as m - p: the position's block is
+minus the landmark's.""", ("-H_landmark", "H_landmark"))
 
 
-@invariant_jacobian.mistake("R in place of its transpose", "The point in the IMU frame is R^T (m - p): the transpose.")
-def _(J, world_T_imu):
-    H = J @ world_T_imu[:3, :3]
-    return H, np.concatenate([-H, np.zeros_like(H)], axis=-1)
+invariant_jacobian.slip("R in place of its transpose", "The point in the IMU frame is R^T (m - p): the transpose.",
+                        ("R.T", "R"))
 
 
-@invariant_jacobian.mistake("rotation and translation swapped", """The columns are [position, rotation]: zero stands on
-the right.""")
-def _(J, world_T_imu):
-    H = J @ world_T_imu[:3, :3].T
-    return H, np.concatenate([np.zeros_like(H), -H], axis=-1)
+invariant_jacobian.slip("rotation and translation swapped", """The columns are [position, rotation]: zero stands on
+the right.""", ("H_landmark, H_pose", "H_landmark, np.roll(H_pose, 3, axis=-1)"))
 
 
 def corrections(rng):
@@ -173,28 +153,20 @@ def invariant_retract(world_T_imu, landmarks, delta):
     return T, np.array(moved)
 
 
-@invariant_retract.mistake("left Jacobian forgotten", """Every translation is multiplied by J_l(x_R). Leaving it out
-looks harmless and cost a factor of six in NEES.""")
-def _(world_T_imu, landmarks, delta):
-    return _turned(world_T_imu, landmarks, delta, np.eye(3))
+invariant_retract.slip("left Jacobian forgotten", """Every translation is multiplied by J_l(x_R). Leaving it out
+looks harmless and cost a factor of six in NEES.""", ("se3.so3_left_jacobian(x_R)", "np.eye(3)"))
 
 
-@invariant_retract.mistake("right Jacobian", """The translations are multiplied by the left Jacobian, J_l(x_R), not by
-the right one.""")
-def _(world_T_imu, landmarks, delta):
-    return _turned(world_T_imu, landmarks, delta, se3.so3_right_jacobian(delta[-3:]))
+invariant_retract.slip("right Jacobian", """The translations are multiplied by the left Jacobian, J_l(x_R), not by
+the right one.""", ("se3.so3_left_jacobian", "se3.so3_right_jacobian"))
 
 
-@invariant_retract.mistake("landmarks not turned", """x_R turns the whole world, landmarks included: exp(x_R) m, then
-the shift.""")
-def _(world_T_imu, landmarks, delta):
-    return _turned(world_T_imu, landmarks, delta, se3.so3_left_jacobian(delta[-3:]), turn_landmarks=False)
+invariant_retract.slip("landmarks not turned", """x_R turns the whole world, landmarks included: exp(x_R) m, then
+the shift.""", ("turn @ m", "m"))
 
 
-@invariant_retract.mistake("position not turned", """x_R turns the car's position about the world's origin too: exp(x_R)
-p.""")
-def _(world_T_imu, landmarks, delta):
-    return _turned(world_T_imu, landmarks, delta, se3.so3_left_jacobian(delta[-3:]), turn_position=False)
+invariant_retract.slip("position not turned", """x_R turns the car's position about the world's origin too: exp(x_R)
+p.""", ("turn @ p", "p"))
 
 
 @invariant_retract.mistake("world and body mixed", """This is the right perturbation's T exp(delta^) and m + delta. The

@@ -48,11 +48,9 @@ def _(gyro, seen):
     return _signs(np.sum(gyro * seen, axis=0) / size)
 
 
-@axis_signs.mistake("no threshold", "Where the correlation is small, chance decides its sign: return 0 there.")
-def _(gyro, seen):
-    return np.sign(_correlation(gyro, seen))
+axis_signs.slip("no threshold", "Where the correlation is small, chance decides its sign: return 0 there.",
+                ("0.5", "0"))
 
 
-@axis_signs.mistake("turned round", "1 says that an axis agrees with the cameras, -1 that it has to be turned round.")
-def _(gyro, seen):
-    return -_signs(_correlation(gyro, seen))
+axis_signs.slip("turned round", "1 says that an axis agrees with the cameras, -1 that it has to be turned round.",
+                ("np.sign(r", "np.sign(-r"))

@@ -53,6 +53,5 @@ def _(first, last, frames):
     return _cost(first, last, frames, numbers=4), _cost(first, last, frames, window=False, numbers=4)
 
 
-@window_cost.mistake("last frame left out", "A landmark is still seen in its last frame: k <= last, not k < last.")
-def _(first, last, frames):
-    return _cost(first, last - 1, frames), _cost(first, last - 1, frames, window=False)
+window_cost.slip("last frame left out", "A landmark is still seen in its last frame: k <= last, not k < last.",
+                 ("k <= last", "k < last"))

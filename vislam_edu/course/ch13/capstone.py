@@ -24,6 +24,7 @@ from ...drive import Drive
 from ...error_state import ErrorState, RightPerturbation
 from ...noise import Noise
 from ...plots import drawing, style
+from ...plots.text import on_a_page
 from ...studies.runs import Run, record
 from ..checks.check import VERDICTS
 from ..checks.comparing import number
@@ -390,10 +391,10 @@ def compare(name: str, function: Callable):
     """
     found = first_parting(name, function)
     if isinstance(found, str):
-        print(style.on_a_page(found))
+        print(on_a_page(found))
         return None
     i, j = found.entry
-    print(style.on_a_page(f"{name}, {found.where}, entry [{i}, {j}]: {number(found.mine[i, j])}, "
+    print(on_a_page(f"{name}, {found.where}, entry [{i}, {j}]: {number(found.mine[i, j])}, "
                           f"the package has {number(found.package[i, j])}"))
     figure, axes = drawing.new_figure(height=2.6)
     gap, columns = np.full((len(found.mine), 1), np.nan), found.mine.shape[1]

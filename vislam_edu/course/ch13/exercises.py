@@ -106,26 +106,19 @@ def _(world_T_imu, covariance, twist, tau, noise):
     return _predicted(world_T_imu, covariance, twist, tau, noise, cross=False)
 
 
-@filter_predict.mistake("not scaled by tau", "W = tau^2 Q: the twist's variance is not that of one step.")
-def _(world_T_imu, covariance, twist, tau, noise):
-    J = se3.right_jacobian(tau * twist)
-    return _predicted(world_T_imu, covariance, twist, tau, noise, W=J @ noise.twist_covariance @ J.T)
+filter_predict.slip("not scaled by tau", "W = tau^2 Q: the twist's variance is not that of one step.",
+                    ("tau * se3.right_jacobian(tau * twist)", "se3.right_jacobian(tau * twist)"))
 
 
-@filter_predict.mistake("right Jacobian left out", """W = tau^2 Q is the report's form. An error of the sample moves the
-pose by tau J_r(tau u): write B Q B^T.""")
-def _(world_T_imu, covariance, twist, tau, noise):
-    return _predicted(world_T_imu, covariance, twist, tau, noise, W=tau**2 * noise.twist_covariance)
+filter_predict.slip("right Jacobian left out", """W = tau^2 Q is the report's form. An error of the sample moves the
+pose by tau J_r(tau u): write B Q B^T.""", ("se3.right_jacobian(tau * twist)", "np.eye(6)"))
 
 
-@filter_predict.mistake("transition of the other direction", "F = Ad(exp(-tau u^)), with the minus sign.")
-def _(world_T_imu, covariance, twist, tau, noise):
-    return _predicted(world_T_imu, covariance, twist, tau, noise, F=se3.adjoint(se3.exp(tau * twist)))
+filter_predict.slip("transition of the other direction", "F = Ad(exp(-tau u^)), with the minus sign.", ("-tau", "tau"))
 
 
-@filter_predict.mistake("world and body mixed", "The twist is measured in the body: its motion stands on the right.")
-def _(world_T_imu, covariance, twist, tau, noise):
-    return _predicted(world_T_imu, covariance, twist, tau, noise, mean=se3.exp(tau * twist) @ world_T_imu)
+filter_predict.slip("world and body mixed", "The twist is measured in the body: its motion stands on the right.",
+                    ("world_T_imu @ step", "step @ world_T_imu"))
 
 
 @filter_predict.mistake("rotation and translation swapped", "A twist is [v, omega], translation first.")
@@ -188,10 +181,8 @@ def filter_update(world_T_imu, landmarks, covariance, rows, pixels, camera, nois
     return world_T_imu @ se3.exp(delta[n:]), landmarks + delta[:n].reshape(-1, 3), P
 
 
-@filter_update.mistake("pose sign flipped", "The pose part of H is -J [I, -s^]: the observation model holds T^-1.")
-def _(world_T_imu, landmarks, covariance, rows, pixels, camera, noise):
-    return _updated(world_T_imu, landmarks, covariance, rows, pixels, camera, noise,
-                    H=_H(world_T_imu, landmarks, rows, camera, pose=-1.0))
+filter_update.slip("pose sign flipped", "The pose part of H is -J [I, -s^]: the observation model holds T^-1.",
+    ("camera.pose_jacobian(world_T_imu, landmarks[j])", "-camera.pose_jacobian(world_T_imu, landmarks[j])"))
 
 
 def _odot_without_extrinsics(camera, T, m):
@@ -212,16 +203,12 @@ def _(world_T_imu, landmarks, covariance, rows, pixels, camera, noise):
                     H=depth * _H(world_T_imu, landmarks, rows, camera))
 
 
-@filter_update.mistake("world and body mixed", "The correction is expressed in the body: T exp(delta^).")
-def _(world_T_imu, landmarks, covariance, rows, pixels, camera, noise):
-    return _updated(world_T_imu, landmarks, covariance, rows, pixels, camera, noise,
-                    retract=lambda T, m, d, e: (se3.exp(e) @ T, m + d.reshape(-1, 3)))
+filter_update.slip("world and body mixed", "The correction is expressed in the body: T exp(delta^).",
+                   ("world_T_imu @ se3.exp(delta[n:])", "se3.exp(delta[n:]) @ world_T_imu"))
 
 
-@filter_update.mistake("a copy updated", "landmarks[rows][:] += ... changes a temporary array: the landmarks stayed.")
-def _(world_T_imu, landmarks, covariance, rows, pixels, camera, noise):
-    return _updated(world_T_imu, landmarks, covariance, rows, pixels, camera, noise,
-                    retract=lambda T, m, d, e: (T @ se3.exp(e), m))
+filter_update.slip("a copy updated", "landmarks[rows][:] += ... changes a temporary array: the landmarks stayed.",
+                   ("landmarks + delta[:n].reshape(-1, 3)", "landmarks"))
 
 
 @filter_update.mistake("only the seen landmarks corrected", """The others are correlated with the pose and move too:
@@ -234,10 +221,8 @@ def _(world_T_imu, landmarks, covariance, rows, pixels, camera, noise):
     return _updated(world_T_imu, landmarks, covariance, rows, pixels, camera, noise, retract=retract)
 
 
-@filter_update.mistake("orders mixed", "delta holds x, y, z of one landmark after the other: reshape(n, 3).")
-def _(world_T_imu, landmarks, covariance, rows, pixels, camera, noise):
-    return _updated(world_T_imu, landmarks, covariance, rows, pixels, camera, noise,
-                    retract=lambda T, m, d, e: (T @ se3.exp(e), m + d.reshape(3, -1).T))
+filter_update.slip("orders mixed", "delta holds x, y, z of one landmark after the other: reshape(n, 3).",
+                   ("delta[:n].reshape(-1, 3)", "delta[:n].reshape(3, -1).T"))
 
 
 @filter_update.mistake("cross terms never written", """After the update the landmarks and the pose are correlated: the
@@ -303,10 +288,8 @@ def filter_birth(world_T_imu, landmarks, covariance, pixels, camera, noise):
     return np.vstack([landmarks, se3.transform(world_T_imu, s)]), P
 
 
-@filter_birth.mistake("no correlation with the pose", """The new landmark inherits the error of the pose: its cross
-terms are G P[-6:], not zero.""")
-def _(world_T_imu, landmarks, covariance, pixels, camera, noise):
-    return _born(world_T_imu, landmarks, covariance, pixels, camera, noise, cross=False)
+filter_birth.slip("no correlation with the pose", """The new landmark inherits the error of the pose: its cross
+terms are G P[-6:], not zero.""", ("cross = G", "cross = 0 * G"))
 
 
 @filter_birth.mistake("pixels used as bearings", "The bearing is K^-1 [u, v, 1], not [u, v, 1].")
@@ -533,25 +516,20 @@ def curved_mean(f, baseline, point, covariance):
     return np.array([u_left, v, u_right, v])
 
 
-@curved_mean.mistake("half forgotten", "The second-order term of Taylor's series has a factor 1/2.")
-def _(f, baseline, point, covariance):
-    return _curved(f, baseline, point, covariance, half=2.0)
+curved_mean.slip("half forgotten", "The second-order term of Taylor's series has a factor 1/2.",
+                 ("= covariance", "= 2 * covariance"))
 
 
-@curved_mean.mistake("sign flipped", "This has the wrong sign: beside the axis the mean moves outwards.")
-def _(f, baseline, point, covariance):
-    return -_curved(f, baseline, point, covariance)
+curved_mean.slip("sign flipped", "This has the wrong sign: beside the axis the mean moves outwards.",
+                 ("= covariance", "= -covariance"))
 
 
-@curved_mean.mistake("right camera taken for the left", "The right camera sees x - baseline in place of x.")
-def _(f, baseline, point, covariance):
-    return _curved(f, 0.0, point, covariance)
+curved_mean.slip("right camera taken for the left", "The right camera sees x - baseline in place of x.",
+                 ("x - baseline", "x"))
 
 
-@curved_mean.mistake("depth alone", """h'' has entries beside the diagonal too, and x and z are correlated, because a
-landmark is uncertain along its ray.""")
-def _(f, baseline, point, covariance):
-    return _curved(f, baseline, point, covariance, cross=0.0)
+curved_mean.slip("depth alone", """h'' has entries beside the diagonal too, and x and z are correlated, because a
+landmark is uncertain along its ray.""", ("= covariance", "= np.diag(np.diag(covariance))"))
 
 
 @curved_mean.mistake("cross term added", "d^2 (x / z) / dx dz = -1 / z^2: the cross term is subtracted.")

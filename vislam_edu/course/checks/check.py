@@ -13,7 +13,7 @@ import json
 import os
 import textwrap
 
-from ...plots.style import on_a_page
+from ...plots.text import on_a_page
 from .edit import plain_source
 from .exercise import EXERCISES, find
 from .picture import Picture
@@ -99,8 +99,9 @@ def hint(name, level=1) -> None:
 def solution(name) -> None:
     """Print a plain answer, and the package's own functions that it stands for."""
     exercise = find(name)
-    parts = [plain_source(exercise.reference)] + [f"# {shown.__module__}.{shown.__qualname__}\n{textwrap.dedent(inspect.getsource(shown))}"
-                        for shown in exercise.shows]
+    parts = [plain_source(exercise.reference)]
+    parts += [f"# {shown.__module__}.{shown.__qualname__}\n{textwrap.dedent(inspect.getsource(shown))}"
+              for shown in exercise.shows]
     print("\n\n".join(part.rstrip() for part in parts))
 
 

@@ -60,7 +60,8 @@ class Mistake:
 class Exercise:
     """One exercise; see the module's docstring.
 
-    reference : the right answer, a plain one; the exercise itself can be called in its place. cases : a function of a random generator that yields (label, arguments).
+    reference : the right answer, a plain one; the exercise itself can be called in its place.
+    cases : a function of a random generator that yields (label, arguments).
     hints : from a nudge to nearly the answer. shows : the package's functions that `solution` prints.
     outputs : names of the results where the answer returns several, else empty.
     canonical : what to compare, as a function of the list of results; None compares them as they are.

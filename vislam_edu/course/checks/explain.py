@@ -1,8 +1,8 @@
 """Why an answer is wrong: what would turn the right answer into it, without a list of mistakes.
 
 Candidates are the museum's pieces, mutants of a plain answer, and the reference with changed arguments or with a
-changed result; then a piece with changed arguments. A candidate explains a result when it gives the same numbers on every input.
-Several results (a mean and a covariance, say) may have explanations of their own.
+changed result; then a piece with changed arguments. A candidate explains a result when it gives the same numbers on
+every input. Several results (a mean and a covariance, say) may have explanations of their own.
 """
 
 import contextlib

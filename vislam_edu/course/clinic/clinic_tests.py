@@ -385,6 +385,8 @@ TESTS = {test.name: test for test in (
     Test("update", "one update against the formulas", 2, update_bench, True,
          (*_FILTER_JACOBIANS, "correction", "covariance after the update")),
 )}
+# Pieces that no single test clears: the first shows the sigmas of the IMU, the second that of the pixels.
+CLEARED_TOGETHER = {"noise values": ("predict", "birth")}
 TAUGHT = ("numbers", "H", "predict", "birth", "gate share", "recording", "standing still", "first update", "90 degrees")
 
 
