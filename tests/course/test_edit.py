@@ -5,6 +5,7 @@ import pytest
 
 from vislam_edu import kalman
 from vislam_edu.course.checks.edit import diff, edited
+from vislam_edu.course.exercises import EXERCISES
 from vislam_edu.error_state import RightInvariant
 
 
@@ -41,3 +42,11 @@ def test_the_diff_shows_the_wrong_line_and_the_right_one():
     assert diff(Derived.value, ("2 * super", "5 * super")).splitlines() == [
         " def value(self, further=3):", "-    return 5 * super().value() + further",
         "+    return 2 * super().value() + further"]
+
+
+@pytest.mark.parametrize("name", EXERCISES)
+def test_every_edit_of_an_exercise_applies_and_changes_its_reference(name):
+    exercise = EXERCISES[name]
+    for mistake in exercise.mistakes:
+        assert callable(mistake.function)
+        assert not mistake.edits or diff(exercise.reference, *mistake.edits)

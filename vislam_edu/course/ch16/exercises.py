@@ -32,12 +32,8 @@ def velocity_rows(rotation, force, tau):
     return F
 
 
-@velocity_rows.mistake("bias added", """The bias is subtracted from the sample, so a larger bias means a smaller force:
-minus tau R.""")
-def _(rotation, force, tau):
-    F = velocity_rows.reference(rotation, force, tau)
-    F[:, 12:] *= -1
-    return F
+velocity_rows.slip("bias added", """The bias is subtracted from the sample, so a larger bias means a smaller force:
+minus tau R.""", ("imu.ACCELEROMETER_BIAS] = -tau", "imu.ACCELEROMETER_BIAS] = tau"))
 
 
 @velocity_rows.mistake("rotation error in the world", """-(R f)^ belongs to R_true = exp(theta^) R. Here the error turns
@@ -48,11 +44,7 @@ def _(rotation, force, tau):
     return F
 
 
-@velocity_rows.mistake("the old velocity forgotten", "v' contains v: its block is the identity.")
-def _(rotation, force, tau):
-    F = velocity_rows.reference(rotation, force, tau)
-    F[:, 6:9] = 0
-    return F
+velocity_rows.slip("the old velocity forgotten", "v' contains v: its block is the identity.", ("np.eye", "np.zeros"))
 
 
 def _gyro(rng):
@@ -75,24 +67,16 @@ def rotation_bias_jacobian(omega, taus):
     return J
 
 
-@rotation_bias_jacobian.mistake("no turn", """What an early sample adds is turned by all that come later: the old J is
-multiplied by exp(tau omega^)^T before the new term joins.""")
-def _(omega, taus):
-    return -sum(tau * se3.so3_right_jacobian(tau * w) for w, tau in zip(omega, taus))
+rotation_bias_jacobian.slip("no turn", """What an early sample adds is turned by all that come later: the old J is
+multiplied by exp(tau omega^)^T before the new term joins.""", ("w).T", "0 * w).T"))
 
 
-@rotation_bias_jacobian.mistake("sign", "The bias is subtracted from the gyro: a larger one turns less.")
-def _(omega, taus):
-    return -rotation_bias_jacobian.reference(omega, taus)
+rotation_bias_jacobian.slip("sign", "The bias is subtracted from the gyro: a larger one turns less.",
+                            ("- tau", "- -tau"))
 
 
-@rotation_bias_jacobian.mistake("turned the wrong way", """J delta is a right perturbation of the product. It moves past
-the next factor E from left to right: exp(a^) E = E exp((E^T a)^), so E^T.""")
-def _(omega, taus):
-    J = np.zeros((3, 3))
-    for w, tau in zip(omega, taus):
-        J = se3.so3_exp(tau * w) @ J - tau * se3.so3_right_jacobian(tau * w)
-    return J
+rotation_bias_jacobian.slip("turned the wrong way", """J delta is a right perturbation of the product. It moves past
+the next factor E from left to right: exp(a^) E = E exp((E^T a)^), so E^T.""", ("w).T", "-w).T"))
 
 
 def _tracks(rng):
@@ -115,10 +99,8 @@ def project_track(H_x, H_f, residual):
     return H.T @ H, H.T @ (N.T @ residual)
 
 
-@project_track.mistake("landmark taken as known", """Without the projection the landmark's error counts as zero: the
-clones learn from a landmark that nobody knows.""")
-def _(H_x, H_f, residual):
-    return H_x.T @ H_x, H_x.T @ residual
+project_track.slip("landmark taken as known", """Without the projection the landmark's error counts as zero: the
+clones learn from a landmark that nobody knows.""", ("qr(H_f)[0][:, 3:]", "qr(H_f)[0]"))
 
 
 @project_track.mistake("the columns that H_f reaches", """The first three columns of Q span H_f itself. The null space
@@ -162,10 +144,8 @@ def _(J, first_pose, first_landmark, pose, landmark):
     return first_estimates_jacobian.reference(J, pose, landmark, pose, landmark)
 
 
-@first_estimates_jacobian.mistake("landmark as now estimated", """The landmark too is linearised where it was born: each
-variable in H has one point for good.""")
-def _(J, first_pose, first_landmark, pose, landmark):
-    return first_estimates_jacobian.reference(J, first_pose, landmark, pose, landmark)
+first_estimates_jacobian.slip("landmark as now estimated", """The landmark too is linearised where it was born: each
+variable in H has one point for good.""", ("first_landmark)", "landmark)"))
 
 
 @first_estimates_jacobian.mistake("pose as now estimated", """The pose too: its point is the prediction, whatever
@@ -197,9 +177,7 @@ def _(angle_random_walk, velocity_random_walk, rate):
     return np.deg2rad(angle_random_walk) / 3600 * rate**0.5, velocity_random_walk / 3600 * rate**0.5
 
 
-@datasheet.mistake("degrees", "The gyro is to be in rad/s.")
-def _(angle_random_walk, velocity_random_walk, rate):
-    return angle_random_walk / 60 * rate**0.5, velocity_random_walk / 60 * rate**0.5
+datasheet.slip("degrees", "The gyro is to be in rad/s.", ("np.deg2rad(angle_random_walk)", "angle_random_walk"))
 
 
 @datasheet.mistake("density for a sample", """The density does not know the rate. A sample is a mean over 1/rate
