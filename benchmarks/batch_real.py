@@ -28,7 +28,7 @@ EVERY = 25  # frames between poses whose NEES is taken: covariances are solved f
 def solved(problem) -> dict:
     """Accuracy, honesty and cost of one solution."""
     drive, begin = problem.drive, time.process_time()
-    solution = batch.solve(problem, tolerance=pipeline.REAL_TOLERANCE)
+    solution = batch.solve(problem, still=pipeline.STILL)
     seconds = time.process_time() - begin
     poses, frames = solution.estimate.world_T_imu, np.arange(EVERY, drive.n_frames, EVERY)
     truth = drive.true_world_T_imu[frames]

@@ -167,7 +167,7 @@ def main():
         report = audit(drive)
         cured = report.cured()
         cases.append((drive.name, pipeline.batch_of_real_drive(cured, pipeline.noise_of_real_drive(report.noise)),
-                      pipeline.REAL_TOLERANCE))
+                      100.0))  # robust weights settle slowly: both stop early, at the same fall of the cost
     for name, problem, tolerance in cases:
         numbers = compare(problem, tolerance)
         print(f"{name}: cost at our estimate {numbers['ours']['cost']:.3f} here, {numbers['cost_there']:.3f} in GTSAM")

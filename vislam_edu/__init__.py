@@ -42,6 +42,8 @@ batch                   the whole drive at once: least squares over poses and la
 association             which landmarks are the same place, and closing the loop
 imu                     a real IMU: gravity, biases, preintegration
 inertial                the joint filter with a real IMU
+lens                    distorted cameras, and the rectified pair
+tracking                from images to tracks
 recordings              room: files
 simulate                room: drives with ground truth
 plots                   room: still pictures
@@ -68,6 +70,7 @@ if TYPE_CHECKING:
         inertial,
         inverse_depth,
         kalman,
+        lens,
         mapping,
         metrics,
         motion,
@@ -81,6 +84,7 @@ if TYPE_CHECKING:
         smoother,
         stereo,
         studies,
+        tracking,
         widgets,
         window_slam,
     )
@@ -93,9 +97,9 @@ if TYPE_CHECKING:
 __version__ = "0.2.0"
 __all__ = [
     "Drive", "InverseDepth", "Noise", "RightInvariant", "RightPerturbation", "StereoCamera", "association", "audit",
-    "batch", "belief", "drive", "ekf_slam", "error_state", "imu", "inertial", "inverse_depth", "kalman", "load",
-    "mapping", "metrics", "motion", "noise", "odometry", "plots", "recordings", "robust", "se3", "simulate", "smoother",
-    "stereo", "studies", "widgets", "window_slam",
+    "batch", "belief", "drive", "ekf_slam", "error_state", "imu", "inertial", "inverse_depth", "kalman", "lens",
+    "load", "mapping", "metrics", "motion", "noise", "odometry", "plots", "recordings", "robust", "se3", "simulate",
+    "smoother", "stereo", "studies", "tracking", "widgets", "window_slam",
 ]
 
 _DEFINED_IN = {"load": "recordings", "Drive": "drive", "Noise": "noise", "StereoCamera": "stereo",

@@ -4,16 +4,16 @@
     solution.estimate.world_T_imu, solution.cost
 
 The report states this objective (section 2.3). A filter passes every measurement once; here each is linearised again
-at every iteration. The unknowns are the poses T_k, the landmarks m_j and four constants of the IMU: its gyro bias b and
-the scale s of its speed. Each residual is divided by its standard deviation:
+at every iteration. The unknowns are the poses T_k, the landmarks m_j and some constants: the IMU's gyro bias b, the
+scale s of its speed and, if asked for, numbers c of the lenses. Each residual is divided by its standard deviation:
 
     IMU       S xi_k + [0, b] - u_k,   xi_k = log(T_k^-1 T_{k+1})^v / tau_k,   S = diag(s, s, s, 1, 1, 1)
     walk      xi_{k+1} - xi_k          a car cannot change its twist at once (optional)
-    prior     log(T_prior^-1 T_0)^v    ties the world down;  b and s - 1
-    pixels    h(T_k, m_j) - z_kj       three numbers: u_left, v, u_right
+    prior     log(T_prior^-1 T_0)^v    ties the world down;  b, s - 1 and c
+    pixels    h(T_k, m_j) + F_kj c - z_kj    three numbers: u_left, v, u_right
 
 The error of a pose is a right perturbation, T = T_hat exp(epsilon^). Columns are ordered [poses 6T, landmarks 3M,
-IMU 4].
+IMU 4, lenses L].
 
 Sources: report section 2.3; Barfoot, State Estimation for Robotics (batch estimation, bundle adjustment, Schur
 complement); Triggs et al., Bundle adjustment: a modern synthesis, 2000 (robust weights, damping, sparsity).
@@ -22,18 +22,18 @@ complement); Triggs et al., Bundle adjustment: a modern synthesis, 2000 (robust 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import accumulate
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.linalg import LinAlgError, cho_solve_banded, cholesky_banded
+from scipy.linalg import LinAlgError, block_diag, cho_solve_banded, cholesky_banded
 from scipy.sparse import bsr_array, csr_array, hstack, vstack
 from scipy.sparse.csgraph import reverse_cuthill_mckee
 
 from . import odometry, se3
-from .drive import Drive
+from .drive import Drive, DriveError
 from .noise import Noise
 from .stereo import ROW_VARIANCE, ROWS, reduce_rows
 
@@ -65,21 +65,24 @@ class Estimate:
     """One value of all unknowns.
 
     world_T_imu : (T, 4, 4). landmarks : (M, 3), m, world. imu : (4,), gyro bias in rad/s, scale of the speed.
+    lens : (L,), px, the numbers of `Problem.lens`.
     """
 
     world_T_imu: np.ndarray
     landmarks: np.ndarray
     imu: np.ndarray
+    lens: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
     def retract(self, delta: np.ndarray, anchor: np.ndarray) -> Estimate:
-        """The estimate after a step delta (6T + 3M + 4,), the same to first order as T exp(epsilon^) and m + delta.
+        """The estimate after a step delta (6T + 3M + 4 + L,), the same to first order as T exp(epsilon^) and m + delta.
 
         anchor : (M,), for each landmark a frame that sees it.
         Steps are large at first: a heading wrong by 30 degrees turns all that follows, and on straight lines the path
         would tear. So the twist along each step of the path is corrected, the steps are joined anew, and each landmark
         moves with its anchor. The IMU's residual is then linear, however large the step.
         """
-        epsilon, landmarks, imu = np.split(delta, [6 * len(self.world_T_imu), len(delta) - 4])
+        ends = np.cumsum([self.world_T_imu.shape[0] * 6, self.landmarks.size, 4])
+        epsilon, landmarks, imu, lens = np.split(delta, ends)
         epsilon = epsilon.reshape(-1, 6)
         twist, by_this, by_next = path_twists(self.world_T_imu, np.ones(len(epsilon) - 1))
         twist = twist + np.matvec(by_this, epsilon[:-1]) + np.matvec(by_next, epsilon[1:])
@@ -89,7 +92,7 @@ class Estimate:
         s = se3.transform(se3.inverse(self.world_T_imu[anchor]), self.landmarks)
         moved = np.vecmat(landmarks.reshape(-1, 3), self.world_T_imu[anchor, :3, :3])
         moved -= np.matvec(se3.odot(s)[:, :3], epsilon[anchor])
-        return Estimate(poses, se3.transform(poses[anchor], s + moved), self.imu + imu)
+        return Estimate(poses, se3.transform(poses[anchor], s + moved), self.imu + imu, self.lens + lens)
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,6 +104,10 @@ class Problem:
     loss : `quadratic` or `cauchy`, of the squared residual of one pixel measurement.
     place : (M,), the row of the map that each track of the drive is a view of; by default each has its own.
     prior_world_T_imu : (4, 4), mean of the prior on T_0, whose covariance is `noise.initial_pose_covariance`.
+    lens : (N, 4, L), by how many px each observation is off for 1 px of each of L numbers of the lenses.
+    lens_sigma : (L,), px, standard deviations of the prior on these numbers, whose mean is 0.
+
+    Raises DriveError for a drive of one frame or without observations, ValueError for an IMU without noise.
     """
 
     drive: Drive
@@ -110,11 +117,38 @@ class Problem:
     loss: Loss = quadratic
     place: np.ndarray | None = None
     prior_world_T_imu: np.ndarray = field(default_factory=lambda: np.eye(4))
+    lens: np.ndarray | None = None
+    lens_sigma: np.ndarray = field(default_factory=lambda: np.zeros(0))
+
+    def __post_init__(self) -> None:
+        if self.drive.n_frames < 2 or not len(self.drive.pixels):
+            raise DriveError("a batch estimate needs two frames and a landmark in view, not "
+                             f"{self.drive.n_frames} frames with {len(self.drive.pixels)} observations")
+        if min(self.noise.sigma_v, self.noise.sigma_omega) <= 0:
+            raise ValueError("a batch estimate divides each residual by its sigma, so the IMU's must be above 0, not "
+                             f"sigma_v {self.noise.sigma_v:g} m/s and sigma_omega {self.noise.sigma_omega:g} rad/s")
+
+    @property
+    def dof(self) -> int:
+        """Degrees of freedom: residuals less unknowns. Poses, the IMU's samples and constants cancel each other."""
+        walk = 0 if self.walk_sigma is None else 6 * (self.drive.n_frames - 2)
+        return 3 * (len(self.landmark) - len(np.unique(self.landmark))) + walk
 
     @cached_property
     def landmark(self) -> np.ndarray:
         """(N,): the row of the map that each observation is a view of."""
         return self.drive.landmark if self.place is None else np.asarray(self.place)[self.drive.landmark]
+
+    @cached_property
+    def by_lens(self) -> np.ndarray:
+        """(N, 3, L): derivative of each pixel residual by the numbers of the lenses, not yet divided by its sigma."""
+        shifts = np.zeros((len(self.landmark), 4, 0)) if self.lens is None else self.lens
+        return np.swapaxes(reduce_rows(np.swapaxes(shifts, 1, 2)), 1, 2)
+
+    @cached_property
+    def sigma_constants(self) -> np.ndarray:
+        """(4 + L,): standard deviations of the priors on the constants of the IMU and the lenses, 0 where known."""
+        return np.concatenate([self.imu_sigma, self.lens_sigma])
 
     @cached_property
     def anchor(self) -> np.ndarray:
@@ -146,11 +180,31 @@ def start(problem: Problem, world_T_imu: np.ndarray | None = None) -> Estimate:
     drive = problem.drive
     if world_T_imu is None:
         world_T_imu = odometry.dead_reckon(drive, problem.noise, problem.prior_world_T_imu).world_T_imu
+    world_T_imu = np.asarray(world_T_imu)
+    return Estimate(world_T_imu, nearest_views(problem, world_T_imu), np.array([0.0, 0.0, 0.0, 1.0]),
+                    np.zeros_like(problem.lens_sigma))
+
+
+def nearest_views(problem: Problem, world_T_imu: np.ndarray) -> np.ndarray:
+    """(M, 3) m, world: each landmark where its nearest view puts it, given the poses (T, 4, 4)."""
+    drive = problem.drive
     points, _ = drive.camera.triangulate(drive.pixels)
     near_last = np.argsort(drive.pixels[:, 0] - drive.pixels[:, 2])
     landmarks = np.zeros((drive.n_landmarks, 3))  # of several writes to one row the last one stays
     landmarks[problem.landmark[near_last]] = drive.camera.to_world(world_T_imu[drive.frame], points)[near_last]
-    return Estimate(np.asarray(world_T_imu), landmarks, np.array([0.0, 0.0, 0.0, 1.0]))
+    return landmarks
+
+
+def in_front_again(problem: Problem, estimate: Estimate) -> Estimate:
+    """The estimate with every landmark that lies behind one of its cameras begun anew: it has no derivative there."""
+    drive = problem.drive
+    points = drive.camera.to_cam(estimate.world_T_imu[drive.frame], estimate.landmarks[problem.landmark])
+    lost = np.unique(problem.landmark[points[:, 2] <= 0])
+    if not len(lost):
+        return estimate
+    landmarks = estimate.landmarks.copy()
+    landmarks[lost] = nearest_views(problem, estimate.world_T_imu)[lost]
+    return replace(estimate, landmarks=landmarks)
 
 
 # --- residuals and their derivatives ------------------------------------------------------------------------
@@ -206,11 +260,11 @@ def motion_residuals(problem: Problem, estimate: Estimate) -> tuple[np.ndarray, 
     return np.concatenate(r), vstack(J, format="bsr"), np.concatenate(J_imu)
 
 
-def pixel_residuals(problem: Problem, estimate: Estimate) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def pixel_residuals(problem: Problem, estimate: Estimate) -> tuple[np.ndarray, ...]:
     """Predicted minus measured pixels, [u_left, v, u_right], divided by their standard deviations.
 
-    Returns r (N, 3), derivatives by the pose (N, 3, 6) and the landmark (N, 3, 3) of each observation, and in_front
-    (N,). Where a landmark is not in front of the camera all three are zero.
+    Returns r (N, 3), derivatives by the pose (N, 3, 6) and the landmark (N, 3, 3) of each observation and by the lenses
+    (N, 3, L), and in_front (N,). Where a landmark is not in front of the camera the others are zero.
     """
     drive = problem.drive
     poses, landmarks = estimate.world_T_imu[drive.frame], estimate.landmarks[problem.landmark]
@@ -221,15 +275,17 @@ def pixel_residuals(problem: Problem, estimate: Estimate) -> tuple[np.ndarray, n
     s = se3.transform(se3.inverse(poses), landmarks)
     by_pose = np.concatenate([-J, J @ se3.so3_hat(s)], axis=-1)
     by_landmark = J @ np.swapaxes(poses[:, :3, :3], -1, -2)
-    return weight * reduce_rows(predicted - drive.pixels), by_pose, by_landmark, in_front
+    r = reduce_rows(predicted - drive.pixels) + problem.by_lens @ estimate.lens
+    return weight * r, by_pose, by_landmark, weight[..., None] * problem.by_lens, in_front
 
 
 @dataclass(frozen=True, eq=False)
 class Linearised:
     """All residuals at one estimate and their derivatives; those of the pixels times the root of their robust weight.
 
-    cost : what is minimised. r, J, J_imu : see `motion_residuals`, the prior on the IMU's constants left out.
-    r_px, J_pose, J_landmark : see `pixel_residuals`. r_imu : (4,), constants minus their prior mean, not divided.
+    cost : what is minimised. r, J, J_imu : see `motion_residuals`, the prior on the constants left out.
+    r_px, J_pose, J_landmark, J_lens : see `pixel_residuals`. r_constants : (4 + L,), constants of the IMU and the
+    lenses minus their prior mean, not divided.
     """
 
     problem: Problem
@@ -240,10 +296,11 @@ class Linearised:
     r_px: np.ndarray
     J_pose: np.ndarray
     J_landmark: np.ndarray
-    r_imu: np.ndarray
+    J_lens: np.ndarray
+    r_constants: np.ndarray
 
     def whole(self) -> tuple[np.ndarray, csr_array]:
-        """Residuals (n,) and their whole sparse Jacobian (n, 6T + 3M), IMU constants taken as known: to look at."""
+        """Residuals (n,) and their whole sparse Jacobian (n, 6T + 3M), constants taken as known: to look at."""
         problem, N = self.problem, len(self.r_px)
         drive, rows = problem.drive, np.arange(N + 1)
         by_pose = bsr_array((self.J_pose, drive.frame, rows), shape=(3 * N, 6 * drive.n_frames))
@@ -256,25 +313,25 @@ class Linearised:
 def linearise(problem: Problem, estimate: Estimate) -> Linearised:
     """The problem at an estimate: cost, residuals, derivatives."""
     r, J, J_imu = motion_residuals(problem, estimate)
-    r_px, J_pose, J_landmark, in_front = pixel_residuals(problem, estimate)
+    r_px, J_pose, J_landmark, J_lens, in_front = pixel_residuals(problem, estimate)
     cost_px, weight = problem.loss(np.where(in_front, np.sum(r_px**2, axis=-1), BEHIND))
-    root = np.sqrt(weight)[:, None]
-    r_imu = estimate.imu - [0, 0, 0, 1]
-    free = problem.imu_sigma > 0
-    cost = r @ r + cost_px.sum() + np.sum((r_imu[free] / problem.imu_sigma[free])**2)
-    return Linearised(problem, float(cost), r, J, J_imu, root * r_px, root[..., None] * J_pose,
-                      root[..., None] * J_landmark, r_imu)
+    root = np.sqrt(weight)[:, None, None]
+    r_constants = np.concatenate([estimate.imu - [0, 0, 0, 1], estimate.lens])
+    free = problem.sigma_constants > 0
+    cost = r @ r + cost_px.sum() + np.sum((r_constants[free] / problem.sigma_constants[free])**2)
+    return Linearised(problem, float(cost), r, J, J_imu, root[..., 0] * r_px, root * J_pose, root * J_landmark,
+                      root * J_lens, r_constants)
 
 
 # --- the normal equations -----------------------------------------------------------------------------------
 
 
 class NormalEquations:
-    """H delta = g with H = J^T J and g = -J^T r, in blocks: poses, landmarks, constants of the IMU.
+    """H delta = g with H = J^T J and g = -J^T r, in blocks: poses, landmarks, constants of IMU and lenses.
 
-        U    E   B         poses: each frame touches few others
-        E^T  V   0         landmarks: V is block diagonal, no residual holds two of them
-        B^T  0   D
+        U    E     B       poses: each frame touches few others
+        E^T  V     B       landmarks: V is block diagonal, no residual holds two of them
+        B^T  B^T   D       B has the rows of both; only the lenses touch landmarks
     """
 
     def __init__(self, at: Linearised):
@@ -285,27 +342,34 @@ class NormalEquations:
         poseT, landmarkT = np.swapaxes(at.J_pose, 1, 2), np.swapaxes(at.J_landmark, 1, 2)
 
         def total(sums, blocks):
-            return (sums @ blocks.reshape(N, -1)).reshape(-1, *blocks.shape[1:])
+            return (sums @ blocks.reshape(N, -1)).reshape(sums.shape[0], *blocks.shape[1:])
 
         self.U = (at.J.T @ at.J + _sparse(T, total(to_frame, poseT @ at.J_pose))).tobsr((6, 6))
         self.V = total(to_landmark, landmarkT @ at.J_landmark) + ALMOST_NOTHING * np.eye(3)
         self.E = problem.by_frame(poseT @ at.J_landmark)
-        self.free = np.flatnonzero(problem.imu_sigma > 0)
-        information = problem.imu_sigma[self.free]**-2.0
-        self.B = at.J.T @ at.J_imu[:, self.free]
-        self.D = at.J_imu[:, self.free].T @ at.J_imu[:, self.free] + np.diag(information)
-        self.g = np.concatenate([
-            -at.J.T @ at.r - total(to_frame, np.matvec(poseT, at.r_px)).ravel(),
-            -total(to_landmark, np.matvec(landmarkT, at.r_px)).ravel(),
-            -at.J_imu[:, self.free].T @ at.r - information * at.r_imu[self.free]])
+        L = at.J_lens.shape[2]
+        lens = at.J_lens.reshape(3 * N, L)
+        self.free = np.flatnonzero(problem.sigma_constants > 0)
+        information = problem.sigma_constants[self.free]**-2.0
+        by_lens = [total(to_frame, poseT @ at.J_lens).reshape(6 * T, L),
+                   total(to_landmark, landmarkT @ at.J_lens).reshape(3 * M, L)]
+        by_imu = [at.J.T @ at.J_imu, np.zeros((3 * M, 4))]
+        self.B = np.hstack([np.vstack(by_imu), np.vstack(by_lens)])[:, self.free]
+        D = block_diag(at.J_imu.T @ at.J_imu, lens.T @ lens)
+        self.D = D[np.ix_(self.free, self.free)] + np.diag(information)
+        g_constants = np.concatenate([at.J_imu.T @ at.r, lens.T @ at.r_px.ravel()])[self.free]
+        self.g = -np.concatenate([
+            at.J.T @ at.r + total(to_frame, np.matvec(poseT, at.r_px)).ravel(),
+            total(to_landmark, np.matvec(landmarkT, at.r_px)).ravel(),
+            g_constants + information * at.r_constants[self.free]])
 
 
 class Factorised:
-    """The normal equations ready to be solved: landmarks eliminated first, then the poses, then the IMU's constants.
+    """The normal equations ready to be solved: landmarks eliminated first, then the poses, then the constants.
 
     With V = L L^T and F = E L^-T the landmarks leave S = U - F F^T to the poses (the Schur complement). Two frames are
-    neighbours in S when one landmark is seen in both, so S is a band as wide as the longest track. The constants of the
-    IMU touch every frame: a border of the band.
+    neighbours in S when one landmark is seen in both, so S is a band as wide as the longest track. The constants
+    touch every frame: a border.
 
     damping : lambda of Levenberg-Marquardt, H + lambda diag(H).
     Raises LinAlgError when H is not positive definite (in floating point numbers).
@@ -326,9 +390,9 @@ class Factorised:
         band[0, self.place] += damping * normal.U.diagonal()
         self.band = cholesky_banded(band, lower=True, overwrite_ab=True, check_finite=False)
         self.B = normal.B
-        self.S_B = self._poses(normal.B)
+        self.H_B = self._without_border(normal.B)
         D = normal.D + damping * normal.D * np.eye(len(normal.D))
-        self.D_inverse = np.linalg.inv(D - normal.B.T @ self.S_B)
+        self.D_inverse = np.linalg.inv(D - normal.B.T @ self.H_B)
 
     def _poses(self, right: np.ndarray) -> np.ndarray:
         """S^-1 times right (6T, n)."""
@@ -336,20 +400,23 @@ class Factorised:
         ordered[self.place] = right
         return cho_solve_banded((self.band, True), ordered, overwrite_b=True, check_finite=False)[self.place]
 
-    def solve(self, g: np.ndarray) -> np.ndarray:
-        """H^-1 times g (6T + 3M + f, n): f constants of the IMU are unknown."""
+    def _without_border(self, g: np.ndarray) -> np.ndarray:
+        """Poses and landmarks (6T + 3M, n) for the right side g (6T + 3M, n) if the constants were known."""
         poses, n = len(self.place), g.shape[1]
-        end = len(g) - len(self.D_inverse)
 
         def each(blocks, x):  # (M, 3, 3) times (3M, n)
-            return (blocks @ x.reshape(len(blocks), 3, n)).reshape(-1, n)
+            return (blocks @ x.reshape(len(blocks), 3, n)).reshape(x.shape)
 
-        landmarks = each(self.L_inverse, g[poses:end])
+        landmarks = each(self.L_inverse, g[poses:])
         x = self._poses(g[:poses] - self.F @ landmarks)
-        imu = self.D_inverse @ (g[end:] - self.B.T @ x)
-        x = x - self.S_B @ imu
-        landmarks = each(np.swapaxes(self.L_inverse, 1, 2), landmarks - self.F.T @ x)
-        return np.concatenate([x, landmarks, imu])
+        return np.concatenate([x, each(np.swapaxes(self.L_inverse, 1, 2), landmarks - self.F.T @ x)])
+
+    def solve(self, g: np.ndarray) -> np.ndarray:
+        """H^-1 times g (6T + 3M + f, n): f constants are unknown."""
+        end = len(self.B)
+        x = self._without_border(g[:end])
+        constants = self.D_inverse @ (g[end:] - self.B.T @ x)
+        return np.concatenate([x - self.H_B @ constants, constants])
 
 
 # --- iterations ---------------------------------------------------------------------------------------------
@@ -357,21 +424,27 @@ class Factorised:
 
 @dataclass(frozen=True, eq=False)
 class Iteration:
-    """One accepted step. estimate : after it. cost : there. damping : lambda of the step. tried : lambdas it took."""
+    """One accepted step. estimate : after it. cost : there. damping : lambda of the step. tried : lambdas it took.
+
+    converged : whether no other step is needed.
+    """
 
     estimate: Estimate
     cost: float
     damping: float
     tried: int
+    converged: bool = False
 
 
 def iterate(problem: Problem, estimate: Estimate | None = None, damping: float = 1e-4,
-            tolerance: float = 1e-2, most: int = 50) -> Iterator[Iteration]:
+            tolerance: float = 1e-2, still: float = 0.0, most: int = 100) -> Iterator[Iteration]:
     """Levenberg-Marquardt: yields the start, then every step that lowered the cost.
 
     A step that raises the cost, or a matrix that is not positive definite, makes lambda ten times larger and is tried
     again; a good step makes it ten times smaller. Ends when a step lowers the cost by less than `tolerance`: the cost
-    is a chi-square, so 1 is what an error of one standard deviation costs, whatever the number of measurements.
+    is a chi-square, so 1 is what an error of one standard deviation costs, whatever the number of measurements. With a
+    robust loss the cost falls on and on while far outliers settle: then also when an undamped step moves no position
+    by more than `still`, m.
     Source: Marquardt, An algorithm for least-squares estimation of nonlinear parameters, 1963.
     """
     estimate = start(problem) if estimate is None else estimate
@@ -386,36 +459,43 @@ def iterate(problem: Problem, estimate: Estimate | None = None, damping: float =
             except LinAlgError:
                 damping *= 10
                 continue
-            moved = estimate.retract(_whole(step, normal), problem.anchor)
+            moved = in_front_again(problem, estimate.retract(_whole(step, normal), problem.anchor))
             at = linearise(problem, moved)
             if at.cost <= before:
                 break
             damping *= 10
         else:
             return
+        way = np.linalg.norm((moved.world_T_imu - estimate.world_T_imu)[:, :3, 3], axis=1).max()
+        converged = before - at.cost < tolerance or bool(way < still and tried == 1)
         estimate = moved
-        yield Iteration(estimate, at.cost, damping, tried)
-        damping = max(damping / 10, DAMPING[0])
-        if before - at.cost < tolerance:
+        yield Iteration(estimate, at.cost, damping, tried, converged)
+        if converged:
             return
+        damping = max(damping / 10, DAMPING[0])
 
 
 def _whole(step: np.ndarray, normal: NormalEquations) -> np.ndarray:
-    """The step with zeros for the IMU's known constants."""
-    imu = np.zeros(4)
-    end = len(step) - len(normal.free)
-    imu[normal.free] = step[end:]
-    return np.concatenate([step[:end], imu])
+    """The step with zeros for the constants that are known."""
+    constants = np.zeros(len(normal.problem.sigma_constants))
+    constants[normal.free] = step[len(normal.B):]
+    return np.concatenate([step[:len(normal.B)], constants])
 
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """Where the iterations end. iterations : how many steps were taken."""
+    """Where the iterations end. iterations : how many steps were taken. converged : whether they had come to rest."""
 
     problem: Problem
     estimate: Estimate
     cost: float
     iterations: int
+    converged: bool = False
+
+    @property
+    def cost_per_dof(self) -> float:
+        """1 at the right minimum with plain squares, and less with a robust loss, if the noise is as assumed."""
+        return self.cost / max(self.problem.dof, 1)
 
     @cached_property
     def _factorised(self) -> Factorised:
@@ -430,18 +510,22 @@ class Solution:
         first = 6 * self.problem.drive.n_frames
         return self._covariance(first + 3 * np.asarray(landmarks)[:, None] + np.arange(3))
 
+    def lens_covariance(self) -> np.ndarray:
+        """(L, L), px^2: marginal covariance of the numbers of the lenses, all of which must be unknown."""
+        return self._factorised.D_inverse[-len(self.estimate.lens):, -len(self.estimate.lens):]
+
     def _covariance(self, rows: np.ndarray) -> np.ndarray:
         """Blocks of H^-1, (n, d, d): the columns asked for are solved for, the others never formed. rows : (n, d)."""
         unit = np.zeros((6 * self.problem.drive.n_frames + 3 * self.problem.drive.n_landmarks
-                         + np.count_nonzero(self.problem.imu_sigma), rows.size))
+                         + np.count_nonzero(self.problem.sigma_constants), rows.size))
         unit[rows.ravel(), np.arange(rows.size)] = 1
         columns = self._factorised.solve(unit)
         n, d = rows.shape
         return columns[rows.ravel()].reshape(n, d, n, d)[np.arange(n), :, np.arange(n)]
 
 
-def solve(problem: Problem, estimate: Estimate | None = None, tolerance: float = 1e-2) -> Solution:
-    """The estimate of the least cost. estimate, tolerance : see `iterate`."""
-    for n, last in enumerate(iterate(problem, estimate, tolerance=tolerance)):  # noqa: B007
+def solve(problem: Problem, estimate: Estimate | None = None, tolerance: float = 1e-2, still: float = 0.0) -> Solution:
+    """The estimate of the least cost. estimate, tolerance, still : see `iterate`."""
+    for n, last in enumerate(iterate(problem, estimate, tolerance=tolerance, still=still)):  # noqa: B007
         pass
-    return Solution(problem, last.estimate, last.cost, n)
+    return Solution(problem, last.estimate, last.cost, n, last.converged)

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from . import se3, stereo
-from .belief import FARTHEST, homogeneous
+from .belief import FARTHEST, Belief, homogeneous
 from .stereo import StereoCamera
 
 
@@ -398,3 +398,26 @@ def _rho_inverse_D(points: np.ndarray) -> np.ndarray:
     E[:, 0, 0] = E[:, 1, 1] = 1
     E[:, :, 2] = -points[..., 4]
     return E @ points[..., :3].mT
+
+
+def world_landmark_covariance(belief: Belief, error_state: ErrorState) -> np.ndarray:
+    """(n, 3, 3) m^2: covariance of each landmark's position in the world, whatever the filter calls an error.
+
+    With m - m_hat = D (x_m + C x_pose) it is D (P_mm + C P_pm + P_mp C^T + C P_pp C^T) D^T.
+    """
+    P, C, D = belief.landmark_covariance, error_state.world_landmark(belief.points), error_state.metres(belief.points)
+    if C.any():
+        cross = belief.covariance[:3 * len(belief.ids), belief.pose].reshape(-1, 3, 6) @ C.mT
+        P = P + cross + cross.mT + C @ belief.pose_covariance @ C.mT
+    return D @ P @ D.mT
+
+
+def to_right(error_state: ErrorState, world_T_imu: np.ndarray) -> np.ndarray:
+    """(6, 6): an error of the pose to the right perturbation that moves it as far, to first order."""
+    return RightPerturbation().world_pose(world_T_imu).T @ error_state.world_pose(world_T_imu)  # two rotations: .T
+
+
+def right_pose_covariance(belief: Belief, error_state: ErrorState) -> np.ndarray:
+    """(6, 6) covariance of the pose as a right perturbation T exp(epsilon^), to first order."""
+    to = to_right(error_state, belief.world_T_imu)
+    return to @ belief.pose_covariance @ to.T

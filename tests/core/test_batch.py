@@ -1,5 +1,6 @@
 """The batch estimate: derivatives, the Schur complement against dense matrices, the filter, an outside reference."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,8 @@ from whole import WHOLE
 
 from vislam_edu import batch, metrics, recordings, se3, simulate, window_slam
 from vislam_edu.audit import audit
+from vislam_edu.drive import DriveError
+from vislam_edu.error_state import RightInvariant
 from vislam_edu.noise import Noise
 from vislam_edu.simulate import faults
 from vislam_edu.studies import pipeline
@@ -122,7 +125,7 @@ def test_the_schur_complement_solves_the_whole_system(damping):
     r, J = at.whole()
     J = np.hstack([J.toarray(), np.pad(at.J_imu, ((0, len(r) - len(at.r)), (0, 0)))])
     J = np.vstack([J, np.pad(np.diag(1 / IMU_SIGMA), ((0, 0), (J.shape[1] - 4, 0)))])
-    r = np.concatenate([r, at.r_imu / IMU_SIGMA])
+    r = np.concatenate([r, at.r_constants / IMU_SIGMA])
     H = J.T @ J
     H += damping * np.diag(np.diag(H))
     normal = batch.NormalEquations(at)
@@ -223,6 +226,58 @@ def test_a_robust_loss_forgets_planted_outliers():
     assert rmse(batch.cauchy) < 0.2 * rmse(batch.quadratic)
 
 
+# --- how it ends --------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("seed", [1, 4])
+def test_no_landmark_stays_behind_a_camera_at_one_frame_a_second(seed):
+    """At 1 Hz first steps are so large that landmarks fall behind the camera, where nothing pulls them back. Left there
+    each holds the whole drive in a wrong minimum (seed 1 from dead reckoning 5.8, seed 4 from the filter 1.96)."""
+    drive = simulate.street_loop(seed, frames=300, tau=1.0, speed=5.0)
+    problem, poses = batch.Problem(drive, Noise()), None
+    if seed == 4:
+        poses = np.array([s.posterior.world_T_imu for s in window_slam.run(drive, Noise(), RightInvariant())])
+    for last in batch.iterate(problem, batch.start(problem, poses), most=25):  # noqa: B007
+        pass
+    low, high = metrics.chi2_band(problem.dof, probability=0.9999)
+    assert low < last.cost < high
+    points = drive.camera.to_cam(last.estimate.world_T_imu[drive.frame], last.estimate.landmarks[problem.landmark])
+    assert (points[:, 2] > 0).all()
+
+
+def test_a_solution_says_how_it_ended():
+    drive = small(frames=40)
+    problem = batch.Problem(drive, Noise())
+    good = pipeline.run_batch(problem, None)
+    assert good.solution.converged
+    assert not good.warnings
+    assert problem.dof == 3 * (len(drive.pixels) - np.count_nonzero(drive.first_seen >= 0))
+    stopped = pipeline.Smoothed(replace(good.solution, converged=False), 0.0)
+    assert "not come to rest" in stopped.warnings[0]
+    wrong = pipeline.run_batch(batch.Problem(drive, Noise(sigma_px=0.2)), None)
+    assert "per degree of freedom where 1 is right" in wrong.warnings[-1]
+
+
+def test_iterations_of_a_robust_loss_end_when_the_path_stands_still():
+    clean = simulate.perfect_street_loop(seed=5, frames=100, visible=30)
+    drive = simulate.add_noise(faults.outlier_tracks(clean, 0.1, seed=5), seed=5)
+    problem = batch.Problem(drive, Noise(), loss=batch.cauchy)
+    paths = [step.estimate.world_T_imu[:, :3, 3] for step in batch.iterate(problem, still=0.05)]
+    assert np.linalg.norm(paths[-1] - paths[-2], axis=1).max() < 0.05
+    exact = batch.solve(problem).estimate.world_T_imu[:, :3, 3]
+    assert np.linalg.norm(paths[-1] - exact, axis=1).max() < 0.2
+
+
+def test_what_has_no_batch_estimate_is_refused_in_words():
+    drive = small()
+    with pytest.raises(DriveError, match="two frames"):
+        batch.Problem(drive.slice(0, 1), Noise())
+    with pytest.raises(DriveError, match="0 observations"):
+        batch.Problem(drive.keep_observations(np.zeros(len(drive.pixels), bool)), Noise())
+    with pytest.raises(ValueError, match="sigma_v 0 m/s"):
+        batch.Problem(drive, Noise(sigma_v=0.0))
+
+
 # --- real drives --------------------------------------------------------------------------------------------
 
 
@@ -240,7 +295,7 @@ def real(name):
 
 def test_drift_on_the_real_drive():
     problem = real("0027")
-    solution = batch.solve(problem, tolerance=pipeline.REAL_TOLERANCE)
+    solution = batch.solve(problem, still=pipeline.STILL)
     drive = problem.drive
     world_T_cam = solution.estimate.world_T_imu @ drive.camera.imu_T_cam
     assert metrics.kitti_drift(drive.truth_world_T_cam, world_T_cam)[0] <= 1.45
@@ -248,9 +303,9 @@ def test_drift_on_the_real_drive():
 
 @pytest.mark.skipif(not WHOLE, reason="3 s; the drive above converges too")
 def test_the_recording_without_truth_converges():
-    costs = [step.cost for step in batch.iterate(real("03"), tolerance=pipeline.REAL_TOLERANCE)]
+    costs = [step.cost for step in batch.iterate(real("03"), still=pipeline.STILL)]
     assert costs == sorted(costs, reverse=True)
-    assert len(costs) < 30
+    assert len(costs) < 70
     assert costs[-1] < 0.2 * costs[0]
 
 

@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 from numerical import central_difference
 
-from vislam_edu import inverse_depth, kalman, metrics, motion, robust, se3, simulate, smoother, stereo, window_slam
+from vislam_edu import belief as belief_module
+from vislam_edu import inverse_depth, metrics, motion, robust, se3, simulate, smoother, stereo, window_slam
+from vislam_edu.belief import Belief
 from vislam_edu.error_state import InverseDepth, RightInvariant
-from vislam_edu.kalman import Belief
 from vislam_edu.noise import Noise
 from vislam_edu.studies import consistency, observability, pipeline
 from vislam_edu.widgets import Explorer
@@ -38,7 +39,7 @@ def estimate(drive, tail=6):
 
 def homogeneous(belief):
     """(n, 4): the landmarks in the world as homogeneous points [M, rho]."""
-    return np.column_stack(kalman.homogeneous(belief.points))
+    return np.column_stack(belief_module.homogeneous(belief.points))
 
 
 def moved(belief, error):
@@ -155,7 +156,7 @@ def test_errors_in_charts_that_stand_still_and_in_metres(drive):
     assert_same(expected, central_difference(in_still_charts, D))
 
     def positions(shift):
-        return kalman.positions(ERROR.shifted(before.points[:2], shift.reshape(2, 3))).ravel()
+        return belief_module.positions(ERROR.shifted(before.points[:2], shift.reshape(2, 3))).ravel()
 
     numeric = central_difference(positions, 6, step=1e-5).reshape(2, 3, 2, 3)
     metres = ERROR.metres(before.points)

@@ -189,9 +189,8 @@ BROKEN_NPZ = {
     "features too few": (NPZ | {"features": FEATURES[:, :, :5]}, r"features: shape \(4, 3, 5\)"),
     "features flat": (NPZ | {"features": FEATURES[0]}, r"features: shape \(3, 6\)"),
     "features text": (NPZ | {"features": FEATURES.astype(str)}, "features: holds <U"),
-    "features objects": (NPZ | {"features": FEATURES.astype(object)}, "features: holds object of shape"),
+    "features objects": (NPZ | {"features": FEATURES.astype(object)}, "features: holds Python objects"),
     "features partial": (NPZ | {"features": put(FEATURES, (2, 1, 3), -1)}, "features: landmark 1, frame 3"),
-    "features gap": (NPZ | {"features": put(FEATURES, np.s_[:, 1, 3], -1)}, "landmark 1 is seen in frame 2"),
     "never seen": (NPZ | {"features": np.full_like(FEATURES, -1)}, "features: the recording is empty"),
     "no frame": (NPZ | {"time_stamps": np.empty((1, 0)), "features": np.empty((4, 3, 0)),
                         "linear_velocity": np.empty((3, 0)), "angular_velocity": np.empty((3, 0))},
@@ -220,14 +219,9 @@ def test_broken_npz_is_named(npz, case):
 
 BROKEN_PICKLED = {
     "no K_r": (without(PICKLED, "K_r"), "K_r: missing; the file has timestamps"),
-    "no features yet": (PICKLED | {"features": None}, "features: holds object"),
-    "other K_r": (PICKLED | {"K_r": put(K, (0, 0), 600)}, "K_r: differs from K_l"),
-    "cameras swapped": (PICKLED | {"extL_T_imu": PICKLED["extR_T_imu"], "extR_T_imu": CAM_T_IMU},
-                        r"extR_T_imu: puts the right camera at \[-0.6"),
+    "K_r not a matrix": (PICKLED | {"K_r": K[:2]}, "K_r: "),
     "cameras cross-eyed": (PICKLED | {"extR_T_imu": se3.exp([0, 0, 0, 0, 0.3, 0]) @ PICKLED["extR_T_imu"]},
-                           "extR_T_imu: puts the right camera"),
-    "inverted": (PICKLED | {"extL_T_imu": IMU_T_CAM, "extR_T_imu": se3.inverse(PICKLED["extR_T_imu"])},
-                 "extR_T_imu: puts the right camera"),
+                           "extL_T_imu, extR_T_imu: no reading puts the right camera"),
     "ragged": (PICKLED | {"v_t": [[1, 2], [3]]}, "v_t: "),
     "not a dictionary": ([1, 2], "its pickle holds a list, expected a dictionary"),
 }

@@ -21,6 +21,7 @@ COMMANDS = {  # each a module of this package: what it does
     "run": "the report's pipeline over a recording: figures, trajectories, numbers",
     "info": "what is in a recording",
     "audit": "compare a recording's sensors with each other, before it is filtered",
+    "track": "make a recording's tracks from its images",
     "simulate": "make a recording with ground truth: a street loop",
     "consistency": "the filters over many simulated drives: are their covariances honest?",
 }

@@ -15,11 +15,12 @@ from ..error_state import RightPerturbation
 from ..plots import report_figures, style
 from ..plots.graph import draw_batch
 from ..recordings.files import part_of
+from ..studies import pipeline
 
 PNG = style.PNG | {"pil_kwargs": {"compress_level": 3}}  # 2 % more bytes than 6, the default, in a third of the time
 
 
-def summary(result, smoothed=None) -> dict:
+def summary(result, smoothed=None, warnings=()) -> dict:
     """The numbers that sum a run up; keys name their units.
 
     Counts: frames, landmarks (in the recording), landmarks_used (that entered the joint filter),
@@ -35,8 +36,9 @@ def summary(result, smoothed=None) -> dict:
     with that error in the covariance. Also position_rmse_m (the IMU's position, world = IMU frame at frame 0, no
     alignment), ate_m (after SE(3) alignment) and KITTI drift, of the left camera as in the benchmark, NaN for drives
     under 100 m; those of dead reckoning carry its name. With a batch estimate its seconds, iterations and the same
-    errors, under its name. Last, as lists of sentences, changed (what was done to the recording) and warnings (what
-    speaks against the result).
+    errors, under its name; `batch` says how it ended and what it claims, see `_ending`. Last, as lists of
+    sentences, changed (what was done to the recording) and warnings (what speaks against the
+    result, those given first).
     """
     drive, slam = result.drive, result.slam
     numbers = {
@@ -51,9 +53,9 @@ def summary(result, smoothed=None) -> dict:
         "metre": slam.metre,
     }
     plain = slam.trajectory.covariance
-    numbers |= _claims(drive, slam.trajectory.world_T_imu, plain, "without_calibration_error", "")
+    numbers |= _claims(drive, slam.trajectory.world_T_imu, plain, "_without_calibration_error", "")
     if result.calibration is not None:
-        numbers |= _claims(drive, slam.trajectory.world_T_imu, plain + result.calibration, "with_calibration_error",
+        numbers |= _claims(drive, slam.trajectory.world_T_imu, plain + result.calibration, "_with_calibration_error",
                            "_with_calibration")
     if drive.has_truth:
         numbers |= _errors(drive, slam.trajectory.world_T_imu, "")
@@ -67,7 +69,23 @@ def summary(result, smoothed=None) -> dict:
             numbers |= _errors(drive, poses, "batch_")
             world_T_cam = poses @ drive.camera.imu_T_cam
             numbers["batch_drift_percent"] = metrics.kitti_drift(drive.truth_world_T_cam, world_T_cam)[0]
-    return numbers | {"changed": list(drive.history), "warnings": result.warnings}
+        numbers["batch"] = _ending(smoothed.solution)
+    numbers["recommended"] = "dead reckoning" if pipeline.has_few_tracks(drive) else "filter"
+    found = [*warnings, *result.warnings, *(smoothed.warnings if smoothed is not None else [])]
+    return numbers | {"changed": list(drive.history), "warnings": found}
+
+
+def _ending(solution):
+    """How a `batch.Solution` ended: cost_per_dof (1 is right with plain squares), converged, and its own claims.
+
+    The claims, of at most 40 frames spread over the drive, since each costs a solution of the whole system:
+    end_sigma_m, and with truth nees_pose and inside_3_sigma.
+    """
+    T = solution.problem.drive.n_frames
+    frames = np.unique(np.linspace(0, T - 1, 40).round().astype(int))
+    claims = _claims(solution.problem.drive, solution.estimate.world_T_imu, solution.pose_covariance(frames), "", "",
+                     frames)
+    return {"cost_per_dof": solution.cost_per_dof, "converged": solution.converged} | claims
 
 
 def _truth_beside(drive, world_T_imu):
@@ -77,14 +95,17 @@ def _truth_beside(drive, world_T_imu):
     return world_T_imu[first] @ truth if first else truth  # one that starts late is in the frame of its own first pose
 
 
-def _claims(drive, world_T_imu, covariance, label, suffix):
-    """What a covariance (T, 6, 6) of right perturbations claims at the end, and how honest it is if there is truth."""
-    numbers = {f"end_sigma_m_{label}": float(np.sqrt(np.trace(covariance[-1, :3, :3])))}
+def _claims(drive, world_T_imu, covariance, label, suffix, frames=slice(None)):
+    """What a covariance (n, 6, 6) of right perturbations claims at the end, and how honest it is if there is truth.
+
+    frames : (n,) that it belongs to, by default all.
+    """
+    numbers = {f"end_sigma_m{label}": float(np.sqrt(np.trace(covariance[-1, :3, :3])))}
     if drive.has_truth:
-        truth = _truth_beside(drive, world_T_imu)
+        truth, poses = _truth_beside(drive, world_T_imu)[frames], world_T_imu[frames]
         known = np.isfinite(truth[:, 0, 0])
-        nees = metrics.pose_nees(RightPerturbation(), truth[known], world_T_imu[known], covariance[known])
-        error = RightPerturbation().pose_difference(truth[known], world_T_imu[known])
+        nees = metrics.pose_nees(RightPerturbation(), truth[known], poses[known], covariance[known])
+        error = RightPerturbation().pose_difference(truth[known], poses[known])
         inside = np.abs(error) <= 3 * np.sqrt(np.diagonal(covariance[known], axis1=1, axis2=2))
         numbers |= {f"nees_pose{suffix}": float(nees.pose.mean()),
                     f"inside_3_sigma{suffix}": float(inside.mean(axis=0).min())}
@@ -107,37 +128,45 @@ def _world_T_cam(drive, trajectory):
 
 def table(numbers) -> str:
     """A summary as text, one number a line."""
-    return "\n".join(f"{key:<40}{_short(value)}" for key, value in numbers.items() if not isinstance(value, list))
+    flat = {key: value for key, value in numbers.items() if not isinstance(value, dict)}
+    flat |= {f"{name}_{key}": value for name, inner in numbers.items() if isinstance(inner, dict)
+             for key, value in inner.items()}
+    return "\n".join(f"{key:<40}{_short(value)}" for key, value in flat.items() if not isinstance(value, list))
 
 
 def _short(value):
-    return str(value) if isinstance(value, int) else f"{value:.4g}"
+    return str(value) if isinstance(value, int | str) else f"{value:.4g}"
 
 
 def _strict(value):
     """JSON knows no NaN: null instead."""
+    if isinstance(value, dict):
+        return {key: _strict(inner) for key, inner in value.items()}
     return None if isinstance(value, float) and math.isnan(value) else value
 
 
-def write(result, folder, smoothed=None):
+def write(result, folder, smoothed=None, warnings=()):
     """Write all that `python -m vislam_edu run` promises into an empty folder. Returns the summary.
 
-    summary.json, null for NaN. kitti/trajectory.txt and tum/trajectory.txt, poses of the left camera in the
-    frame of the first one (KITTI's convention). result.npz: poses of the IMU, covariances of right
-    perturbations [position m, rotation rad] (pose_covariance: without calibration error; calibration_covariance: that
-    error alone, where it was asked for), and the landmarks (m, world) that the filter used, with ids and
-    covariances. fig1_... to fig7_... .png. smoothed : `pipeline.Smoothed` or None; its poses and landmarks are then in
-    result.npz too, and fig8_batch.png compares the paths.
+    summary.json, null for NaN. kitti/trajectory.txt and tum/trajectory.txt, poses of the left camera (as
+    mounted, where the pixels were rectified) in the frame of the first one (KITTI's convention), and dead_reckoning.txt beside them.
+    result.npz: poses of the IMU, covariances of right perturbations [position m, rotation rad] (pose_covariance:
+    without calibration error; calibration_covariance: that error alone, where it was asked for), and the landmarks (m,
+    world) that the filter used, with ids and covariances. fig1_... to fig7_... .png. smoothed : `pipeline.Smoothed` or
+    None; its poses and landmarks are then in result.npz too, and fig8_batch.png compares the paths. warnings :
+    sentences that come before those of the result.
     """
     folder, drive, slam = Path(folder), result.drive, result.slam
-    numbers = summary(result, smoothed)
-    strict = {key: _strict(value) for key, value in numbers.items()}
-    (folder / "summary.json").write_text(json.dumps(strict, indent=2) + "\n", encoding="utf-8")
-    poses = _world_T_cam(drive, slam.trajectory)
+    numbers = summary(result, smoothed, warnings)
+    (folder / "summary.json").write_text(json.dumps(_strict(numbers), indent=2) + "\n", encoding="utf-8")
     for layout in ("kitti", "tum"):
         (folder / layout).mkdir()
-    recordings.save_kitti(folder / "kitti" / "trajectory.txt", poses)
-    recordings.save_tum(folder / "tum" / "trajectory.txt", drive.times, poses)
+    for name, trajectory in (("trajectory", slam.trajectory), ("dead_reckoning", result.dead_reckoning)):
+        poses = _world_T_cam(drive, trajectory)
+        if drive.left_T_cam is not None:
+            poses = drive.left_T_cam @ poses @ se3.inverse(drive.left_T_cam)
+        recordings.save_kitti(folder / "kitti" / f"{name}.txt", poses)
+        recordings.save_tum(folder / "tum" / f"{name}.txt", drive.times, poses)
     np.savez_compressed(
         folder / "result.npz",
         times=drive.times,

@@ -3,7 +3,7 @@
 import sys
 from pathlib import Path
 
-from .arguments import OptionError, add_recording, number, read_recording, whole
+from .arguments import OptionError, add_recording, ground_truth_doubts, number, read_recording, whole
 
 
 def add_arguments(parser):
@@ -15,6 +15,9 @@ def add_arguments(parser):
                              "measured, robust weights, tracks that slip, lengths by the IMU's speed")
     parser.add_argument("--causal", action="store_true",
                         help="with --audit: leave out the cures that need the whole drive")
+    parser.add_argument("--force", action="store_true",
+                        help="with --audit: filter also a file that is certainly read wrongly, and apply cures that "
+                             "move dead reckoning by more than its sensors can be wrong by")
     parser.add_argument("--calibration", action="store_true",
                         help="run the joint filter again with each lens parameter turned by one standard deviation, in "
                              "parallel, and add what moves to the covariance of the path")
@@ -58,28 +61,39 @@ def noise_from(arguments, base):
 
 
 def prepare(arguments):
-    """The drive to run, the noise to run it with, and options of the joint filter: as they are, or after an audit."""
+    """The drive to run, the noise to run it with, options of the joint filter, and warnings: as is, or after an audit.
+
+    Raises DriveError where the audit is certain that the file is read wrongly and `--force` is not given.
+    """
     from .. import robust
+    from ..drive import DriveError
     from ..noise import Noise
     from ..studies import pipeline, scale
 
-    drive, options = read_recording(arguments), {}
+    drive, options, warnings = read_recording(arguments), {}, []
     base = Noise.from_report() if arguments.report_noise else Noise()
     if arguments.audit:
         from ..audit import audit
 
         report = audit(drive)
-        drive = report.cured(needs_future=not arguments.causal)
-        options = {"motion_model": robust.RealDrive, "process_frame": robust.process_frame,
-                   "metre": scale.of_the_imu}
+        if report.refusal and not arguments.force:
+            raise DriveError(f"{arguments.recording}: {report.refusal}; correct the file, or take the one that "
+                             "`audit --cured FILE` writes (--force filters all the same)")
+        if report.too_far and not arguments.force:
+            warnings.append(report.too_far)
+        drive = report.cured(needs_future=not (arguments.causal or warnings))
+        options = {"motion_model": robust.RealDrive, "process_frame": robust.process_frame}
+        if not pipeline.has_few_tracks(drive):
+            options["metre"] = scale.of_the_imu
         if not arguments.report_noise:
             base = pipeline.noise_of_real_drive(report.noise)
         if not arguments.quiet:
             print(report, end="\n\n")
             print("\n".join(["applied:", *(f"    {cure}" for cure in drive.history)] if drive.history else
                             ["nothing to cure"]), end="\n\n")
-            print(scale.EXPLAINED, end="\n\n")
-    return drive.subsample(arguments.every), noise_from(arguments, base), options
+            if "metre" in options:
+                print(scale.EXPLAINED, end="\n\n")
+    return drive.subsample(arguments.every), noise_from(arguments, base), options, warnings
 
 
 def error_state_of(arguments):
@@ -93,6 +107,21 @@ def error_state_of(arguments):
         raise OptionError("run: --initialisation as-report gives a landmark 2 m^2 per axis, which an inverse depth "
                           "does not have: take --error-state right or cartesian")
     return {"inverse-depth": InverseDepth, "right": RightPerturbation}.get(name, RightInvariant)()
+
+
+def batch_problem(arguments, drive, noise):
+    """What `--batch` minimises. Raises OptionError or DriveError where nothing can be minimised."""
+    from .. import batch
+    from ..drive import DriveError
+    from ..studies import pipeline
+
+    try:
+        return (pipeline.batch_of_real_drive(drive, noise, scale_sigma=0.05) if arguments.audit
+                else batch.Problem(drive, noise))
+    except DriveError as error:
+        raise DriveError(f"{arguments.recording}: {error}; leave out --batch") from None
+    except ValueError as error:
+        raise OptionError(f"run --batch: {error}") from None
 
 
 def _on_all_cores():
@@ -110,16 +139,17 @@ def run(arguments):
     from numpy.linalg import LinAlgError
     from tqdm import tqdm
 
-    from .. import batch, window_slam
+    from .. import window_slam
     from ..drive import DriveError
     from ..studies import breakdown, pipeline
     from . import outputs
 
-    if arguments.causal and not arguments.audit:
-        raise OptionError("run: --causal says which cures to apply, so it needs --audit")
+    if (arguments.causal or arguments.force) and not arguments.audit:
+        raise OptionError("run: --causal and --force say which cures to apply, so they need --audit")
     error_state = error_state_of(arguments)
-    drive, noise, options = prepare(arguments)
+    drive, noise, options, warnings = prepare(arguments)
     method = "report" if error_state.role == "slam" and arguments.report_noise else error_state.role
+    problem = batch_problem(arguments, drive, noise) if arguments.batch else None
     if arguments.initialisation == "as-report":
         options["process_frame"] = window_slam.as_report
     with outputs.appearing_in(arguments.out) as folder:
@@ -135,12 +165,8 @@ def run(arguments):
         if unusable := breakdown.unusable(result):
             raise DriveError(f"{arguments.recording}: not finite, or with a covariance that is not positive definite: "
                              f"{', '.join(unusable)}; {breakdown.likely_reason(drive, noise)}")
-        smoothed = None
-        if arguments.batch:
-            problem = (pipeline.batch_of_real_drive(drive, noise, scale_sigma=0.05) if arguments.audit
-                       else batch.Problem(drive, noise))
-            smoothed = pipeline.run_batch(problem, result.slam.trajectory.world_T_imu)
-        numbers = outputs.write(result, folder, smoothed)
+        smoothed = pipeline.run_batch(problem, result.slam.trajectory.world_T_imu) if problem else None
+        numbers = outputs.write(result, folder, smoothed, [*ground_truth_doubts(arguments, drive), *warnings])
     if not arguments.quiet:
         print(outputs.table(numbers))
         print(f"written to {arguments.out}")

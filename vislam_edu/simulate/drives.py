@@ -8,7 +8,7 @@ The defaults resemble KITTI and the report's recordings: the camera, 10 m/s, abo
 tracks of 5 to 100 frames that never come back, new ones born in bursts because a tracker looks for corners
 only now and then.
 
-`python -m vislam_edu.simulate [directory]` writes the two drives that the notebooks use.
+`python -m vislam_edu.simulate.drives [directory]` writes the two drives that the notebooks use.
 """
 
 import sys

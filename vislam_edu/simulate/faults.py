@@ -80,15 +80,20 @@ def lens_error(drive, **px):
     with u^2 by the same number of px.
     Source: Brown, Decentering distortion of lenses, 1966.
     """
-    pixels, K = drive.pixels.copy(), drive.camera.K
+    return _planted(drive, "lens error", pixels=drive.pixels + lens_shift(drive, **px))
+
+
+def lens_shift(drive, **px):
+    """(N, 4) px: by what an error of the lenses shifts each observation. px : see `lens_error`."""
+    shift, K = np.zeros_like(drive.pixels), drive.camera.K
     for term, (both, field) in LENS_TERMS.items():
         size = px.pop(term.replace(" ", "_").replace("^", "_"), 0.0)
         for image, sign in ((slice(0, 2), 0.5), (slice(2, 4), -0.5)):
             x, y = ((drive.pixels[:, image] - K[:2, 2]) / K[[0, 1], [0, 1]]).T
-            pixels[:, image] += size * (1 if both else sign) * np.stack(field(x, y), axis=-1)
+            shift[:, image] += size * (1 if both else sign) * np.stack(field(x, y), axis=-1)
     if px:
         raise ValueError(f"lens_error knows no {', '.join(px)}; it knows {', '.join(LENS_TERMS)}")
-    return _planted(drive, "lens error", pixels=pixels)
+    return shift
 
 
 def baseline_error(drive, factor):

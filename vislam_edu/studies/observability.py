@@ -40,7 +40,7 @@ def common_landmarks(steps):
 def at_estimates(steps, ids) -> LinearisationPoints:
     """The points that the filter itself used: H at the predicted state, the step from one update to the next.
 
-    steps : list of `Step` of `slam.run`, successive frames. ids : (n,), see `common_landmarks`.
+    steps : list of `Step` of `window_slam.run`, successive frames. ids : (n,), see `common_landmarks`.
     """
     priors = [step.prior for step in steps]
     poses = np.array([prior.world_T_imu for prior in priors])

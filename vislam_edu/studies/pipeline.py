@@ -13,13 +13,14 @@ from functools import partial
 
 import numpy as np
 
-from .. import batch, kalman, mapping, motion, odometry, window_slam
+from .. import batch, kalman, mapping, metrics, motion, odometry, window_slam
 from ..drive import Drive
-from ..error_state import RightPerturbation
+from ..error_state import RightPerturbation, world_landmark_covariance
 from ..mapping import MapBelief
 from ..noise import Noise
 from ..odometry import Trajectory
 from . import calibration, scale
+from .runs import record
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,10 +100,9 @@ class Result:
         IMU alone would.
         """
         found = self.slam.warnings(self.gate)
-        visible = self.drive.visible.mean()
-        if visible < FEW_TRACKS:
-            found.append(f"{visible:.0f} tracks in view on average where a filter of this kind needs {FEW_TRACKS}: "
-                         "dead reckoning may be the better path")
+        if has_few_tracks(self.drive):
+            found.append(f"{self.drive.visible.mean():.0f} tracks in view on average where a filter of this kind "
+                         f"needs {FEW_TRACKS}: dead reckoning is the better path")
         ends = [np.sqrt(np.trace(t.covariance[-1, :3, :3])) for t in (self.slam.trajectory, self.dead_reckoning)]
         if ends[0] > ends[1]:
             found.append(f"by its own covariance the filter ends uncertain by {ends[0]:.2g} m, dead reckoning by "
@@ -117,12 +117,24 @@ class Smoothed:
     solution: batch.Solution
     seconds: float
 
+    @property
+    def warnings(self) -> list[str]:
+        """What speaks against the solution, in words; empty when nothing does."""
+        solution, dof, found = self.solution, max(self.solution.problem.dof, 1), []
+        if not solution.converged:
+            found.append(f"the batch estimate had not come to rest after {solution.iterations} iterations: its path is "
+                         "on the way to a minimum, not there")
+        if not solution.cost_per_dof <= MOST_COST * metrics.chi2_band(dof)[1] / dof:
+            found.append(f"the cost of the batch estimate is {solution.cost_per_dof:.2f} per degree of freedom where 1 "
+                         "is right: it ended in a wrong minimum, or the noise is not what is assumed")
+        return found
+
 
 def run_batch(problem, world_T_imu) -> Smoothed:
     """The batch estimate, from the filter's poses (T, 4, 4) on. problem : `batch.Problem`."""
     begin = time.perf_counter()
-    tolerance = REAL_TOLERANCE if problem.loss is batch.cauchy else 1e-2
-    solution = batch.solve(problem, batch.start(problem, world_T_imu), tolerance)
+    solution = batch.solve(problem, batch.start(problem, world_T_imu),
+                           still=STILL if problem.loss is batch.cauchy else 0.0)
     return Smoothed(solution, time.perf_counter() - begin)
 
 
@@ -132,8 +144,14 @@ def no_progress(frames, **_):
 
 
 FEW_TRACKS = 10  # in view on average
-REAL_TOLERANCE = 100.0  # of the batch's cost: robust weights settle slowly, and the path has long stopped moving
+MOST_COST = 1.2  # of the batch, over the upper end of its chi-square band
+STILL = 0.05  # m: what no pose of a real drive moves in the batch's last iteration
 TRACK_SIGMA_PX = 1.0  # px. From frame to frame tracks scatter by 0.2 px, but over their life they slip.
+
+
+def has_few_tracks(drive) -> bool:
+    """Whether a drive's tracks are too few for a filter of this kind to improve on dead reckoning."""
+    return bool(drive.visible.mean() < FEW_TRACKS)
 
 
 def noise_of_real_drive(measured) -> Noise:
@@ -230,46 +248,25 @@ def collect_slam(drive, steps, error_state, method="slam") -> Slam:
     steps : of `window_slam.run(drive, ...)` with this error state. A landmark's estimate is the one it had when
     it was last in the state: on retirement, or at the end.
     """
-    T, M = drive.n_frames, drive.n_landmarks
-    poses, covariance = np.empty((T, 4, 4)), np.empty((T, 6, 6))
+    M = drive.n_landmarks
     landmarks, spread, seen = np.zeros((M, 3)), np.zeros((M, 3, 3)), np.zeros(M, bool)
-    measurements = rejected = 0
 
     def keep(belief, ids):
         rows = np.searchsorted(belief.ids, ids)
         landmarks[ids], seen[ids] = belief.landmarks[rows], True
         spread[ids] = world_landmark_covariance(belief, error_state)[rows]
 
+    def heard():
+        last = motion.start(Noise())  # nobody retires before frame 0
+        for step in steps:
+            if len(step.retired):
+                keep(last, step.retired)
+            last = step.posterior
+            yield step
+        keep(last, last.ids)
+
     begin = time.perf_counter()
-    last = motion.start(Noise())  # nobody retires before frame 0
-    for step in steps:
-        if len(step.retired):
-            keep(last, step.retired)
-        last = step.posterior
-        poses[step.k] = last.world_T_imu
-        covariance[step.k] = right_pose_covariance(last, error_state)
-        measurements += len(step.innovation.ids)
-        rejected += int(np.count_nonzero(~step.innovation.accepted))
-    keep(last, last.ids)
+    run = record(heard(), error_state)
     seconds = time.perf_counter() - begin
-    return Slam(Trajectory(drive.times, poses, covariance), MapBelief(landmarks, spread, seen),
-                measurements, rejected, seconds, method)
-
-
-def world_landmark_covariance(belief, error_state):
-    """(n, 3, 3) m^2: covariance of each landmark's position in the world, whatever the filter calls an error.
-
-    With m - m_hat = D (x_m + C x_pose) it is D (P_mm + C P_pm + P_mp C^T + C P_pp C^T) D^T.
-    """
-    P, C, D = belief.landmark_covariance, error_state.world_landmark(belief.points), error_state.metres(belief.points)
-    if C.any():
-        cross = belief.covariance[:3 * len(belief.ids), belief.pose].reshape(-1, 3, 6) @ C.mT
-        P = P + cross + cross.mT + C @ belief.pose_covariance @ C.mT
-    return D @ P @ D.mT
-
-
-def right_pose_covariance(belief, error_state):
-    """(6, 6) covariance of the pose as a right perturbation T exp(epsilon^), to first order."""
-    T = belief.world_T_imu
-    to_right = RightPerturbation().world_pose(T).T @ error_state.world_pose(T)  # rotations: the inverse is .T
-    return to_right @ belief.pose_covariance @ to_right.T
+    return Slam(Trajectory(drive.times, run.world_T_imu, run.right_covariance), MapBelief(landmarks, spread, seen),
+                len(run.nis), int(np.count_nonzero(~run.accepted)), seconds, method)

@@ -117,7 +117,7 @@ class Explorer(anywidget.AnyWidget):
                      landmark: int | None = None) -> "Explorer":
         """An explorer whose slider steps through single beliefs: iterations, pairs fused, keyframes.
 
-        labels : n texts, such as "iteration 3" or "2 pairs fused". beliefs : n of `motion.Belief` (one pose and its
+        labels : n texts, such as "iteration 3" or "2 pairs fused". beliefs : n of `belief.Belief` (one pose and its
         landmarks) or `history.PathBelief` (a whole path and its landmarks, covariances where they are known).
         name : of the estimate. unit : what one position of the slider is, such as "iteration" or "pair fused".
         error_state : of the beliefs' covariances, by default `error_state.fitting`.

@@ -13,9 +13,14 @@ import numpy as np
 from .. import kalman, metrics, se3
 from ..belief import Step
 from ..drive import Drive
-from ..error_state import ErrorState, RightPerturbation, fitting
+from ..error_state import (
+    ErrorState,
+    fitting,
+    right_pose_covariance,
+    to_right,
+    world_landmark_covariance,
+)
 from ..stereo import FOUR_FROM_THREE
-from ..studies.pipeline import right_pose_covariance, world_landmark_covariance
 from .panels import nis_band
 
 NOBODY = np.empty(0, int)
@@ -306,11 +311,6 @@ def look(step, drive, error_state, pose) -> Sight | None:
     projected = drive.camera.observe(*_pose_and_points(step.posterior, seen.ids, drive, pose))[0]
     return Sight(seen.ids, seen.measured[:, :2], seen.predicted[:, :2], projected[:, :2], seen.covariance[:, :2, :2],
                  seen.nis, seen.accepted, pull)
-
-
-def to_right(error_state, world_T_imu):
-    """(6, 6): an error of the pose to the right perturbation that moves it as far, to first order."""
-    return RightPerturbation().world_pose(world_T_imu).T @ error_state.world_pose(world_T_imu)
 
 
 def _pose_and_points(belief, ids, drive, pose):

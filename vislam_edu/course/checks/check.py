@@ -13,7 +13,7 @@ import json
 import os
 import textwrap
 
-from ...plots.style import on_a_page
+from ...plots.text import on_a_page
 from .exercise import EXERCISES, find
 from .picture import Picture
 from .running import copied
