@@ -76,6 +76,13 @@ class ImuSamples:
         return self.gyro[rows], self.accelerometer[rows], np.diff(edges)
 
 
+def samples_of(drive: Drive) -> ImuSamples:
+    """The samples of a drive. Raises DriveError for one without an accelerometer."""
+    if drive.imu is None:
+        raise DriveError(f"{drive.name or 'this drive'} has no accelerometer (imu is None)")
+    return drive.imu
+
+
 def error_with_velocity(error_state: ErrorState) -> ErrorState:
     """The error state with a velocity in `Belief.motion[:3]` that is corrected as a position is."""
 
@@ -110,9 +117,7 @@ class AccelerometerDriven(motion.MotionModel):
 
     def __init__(self, drive: Drive, noise: Noise, error_state: ErrorState,
                  begin: tuple[State, np.ndarray] | None = None) -> None:
-        if drive.imu is None:
-            raise DriveError(f"{drive.name or 'this drive'} has no accelerometer (imu is None)")
-        self.samples, self.times = drive.imu, drive.times
+        self.samples, self.times = samples_of(drive), drive.times
         self.error_state = error_with_velocity(error_state)
         self.begin = begin
 

@@ -12,7 +12,6 @@ def correction_errors(changes, corrected, ignored):
     axes.loglog(changes, ignored, "--", color=style.COLOURS["report"], label="change ignored")
     axes.loglog(changes, corrected, color=style.COLOURS["invariant"], label="corrected to first order")
     axes.set(xlabel="change of the gyro's bias (rad/s)", ylabel="error of the position (m)")
-    axes.legend()
     order = np.polyfit(np.log(changes[:5]), np.log(corrected[:5]), 1)[0]
     return drawing.finish(figure, f"The error of the correction grows with the power {order:.1f} of the change")
 
@@ -26,5 +25,4 @@ def sigmas(times, position, yaw, tilt):
     axes.plot(t, np.degrees(yaw), "--", color=style.COLOURS["report"], label="yaw (°)")
     axes.plot(t, np.degrees(tilt), ":", color=style.COLOURS["invariant"], label="roll and pitch (°)")
     axes.set(xlabel="time since start (s)", ylabel="standard deviation", xlim=(0, t[-1]), yscale="log")
-    axes.legend()
-    return drawing.finish(figure, "Position and yaw grow without limit; gravity holds roll and pitch")
+    return drawing.finish(figure, "Position and yaw grow; gravity holds roll and pitch")

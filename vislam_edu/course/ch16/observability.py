@@ -30,8 +30,8 @@ def system(camera: StereoCamera, states: list[State], steps: list[Preintegrated]
            shift: float = 0.0) -> np.ndarray:
     """The Jacobian (rows, 15n + 3m) of the motions between n states and of the pixels of m points (m, 3), m.
 
-    Columns: the states, 15 each in the order of `imu`, then the points. shift : rad, by which the pixels of the second
-    half of the frames are linearised at another heading, as after a relinearisation that spares the first half.
+    Columns: the states, 15 each in the order of `imu`, then the points. shift : m, by which the pixels of the second
+    half of the frames are linearised at other positions, as after a relinearisation that spares a prior.
     """
     n, m = len(states), len(points)
     H = []
@@ -41,8 +41,8 @@ def system(camera: StereoCamera, states: list[State], steps: list[Preintegrated]
         rows[:, 15 * i:15 * i + 30] = np.hstack([by_before, by_after])
         H.append(rows / np.sqrt(np.diag(motion.covariance))[:, None])
     for i, state in enumerate(states):
-        R = state.rotation if i < n // 2 else se3.so3_exp([0, 0, shift]) @ state.rotation
-        s = (points - state.position) @ R
+        R, moved = state.rotation, [shift if i >= n // 2 else 0.0, 0.0, 0.0]
+        s = (points - state.position - moved) @ R
         J = camera.measurement_jacobian(se3.transform(camera.cam_T_imu, s))[:, ROWS]
         rows = np.zeros((m, 3, 15 * n + 3 * m))
         rows[:, :, 15 * i:15 * i + 3] = J @ se3.so3_hat(s)
