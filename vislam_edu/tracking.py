@@ -11,10 +11,8 @@ Sources: Shi, Tomasi, Good features to track (1994); Lucas, Kanade, An iterative
 Bouguet, Pyramidal implementation of the Lucas Kanade feature tracker (2000).
 
 >>> import numpy as np
->>> square = np.zeros((60, 80))
->>> square[20:40, 30:60] = 200.0
->>> corners(square, 4).tolist()
-[[31.0, 21.0], [58.0, 21.0], [31.0, 38.0], [58.0, 38.0]]
+>>> corners(np.pad(np.full((20, 30), 200.0), 20), 4).tolist()
+[[21.0, 21.0], [48.0, 21.0], [21.0, 38.0], [48.0, 38.0]]
 """
 
 from collections.abc import Callable, Iterable, Iterator
@@ -164,8 +162,8 @@ def _one_way(levels: Levels, other: Levels, points: np.ndarray, guess: np.ndarra
     """From the coarsest level to the image: each level's result, times two, is the next one's start."""
     found, ok = np.array(guess, float), np.zeros(len(points), bool)
     for level in reversed(range(len(levels))):
-        at, start = points / 2**level, found / 2**level
-        result, ok = lucas_kanade(levels[level], other[level], at, start, 0 if level else HALF)
+        result, ok = lucas_kanade(levels[level], other[level], points / 2**level, found / 2**level,
+                                  0 if level else HALF)
         found = np.where(ok[:, None], result * 2**level, found)  # what a coarse level loses a finer one may find
     found[ok], ok[ok] = affine(levels[0], other[0], points[ok], found[ok])
     return found, ok & inside(other[0], found, HALF)
@@ -189,7 +187,6 @@ def flow(image: np.ndarray | Levels, other: np.ndarray | Levels, points: ArrayLi
 @dataclass(frozen=True, eq=False)
 class Frame:
     """What a pair shows: ids ascending, points px as taken and rectified; n_landmarks ids were given so far."""
-
     ids: np.ndarray  # (n,)
     left: np.ndarray  # (n, 2)
     right: np.ndarray  # (n, 2)
@@ -205,10 +202,9 @@ def search(left: Levels, right: Levels, points: np.ndarray, rig: Rig, nearest: f
     K, level, half = rig.camera.K, min(_COARSE, len(left) - 1), HALF // 2 + 1
     disparities = np.arange(0.0, K[0, 0] * rig.camera.baseline / nearest, 2**level)[:, None]
     candidates = rig.right.unrectify(rig.left.rectify(points, K)[:, None] - disparities * [1.0, 0.0], K)
-    template = patches(left[level], points / 2**level, half)[:, None]
     possible = inside(right[level], candidates / 2**level, half)
     compared = patches(right[level], np.where(possible[..., None], candidates / 2**level, half), half)
-    cost = np.where(possible, (template - compared).var(axis=(-2, -1)), np.inf)
+    cost = np.where(possible, (patches(left[level], points / 2**level, half)[:, None] - compared).var(axis=(-2, -1)), np.inf)
     return candidates[np.arange(len(points)), cost.argmin(axis=1)]
 
 
