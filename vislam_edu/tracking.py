@@ -139,8 +139,7 @@ def affine(image: np.ndarray, other: np.ndarray, points: np.ndarray, start: np.n
     J = (g[..., :, None] * basis[..., None, :].astype(np.float32)).reshape(len(points), (2 * HALF + 1)**2, 6)
     J -= J.mean(axis=1, keepdims=True)
     A = J.mT @ J + np.diag(np.tile([0.0, _GREY_PER_SHEAR, _GREY_PER_SHEAR], 2))
-    level = np.eye(2, 3, 1)  # M = I
-    warp = np.where([True, False, False], start[:, :, None], level)
+    warp = np.where([True, False, False], start[:, :, None], level := np.eye(2, 3, 1))  # M = I
     prior = _GREY_PER_SHEAR * np.array([0.0, 1.0, 1.0])
     for _ in range(_AFFINE_ITERATIONS):
         seen = ndimage.map_coordinates(other, np.einsum("nap,ijp->anij", warp, basis)[::-1], order=1, mode="nearest")
@@ -180,7 +179,7 @@ def flow(image: np.ndarray | Levels, other: np.ndarray | Levels, points: ArrayLi
     levels, other_levels, points = pyramid(image), pyramid(other), np.reshape(np.asarray(points, float), (-1, 2))
     start = points if guess is None else np.reshape(np.asarray(guess, float), (-1, 2))
     found, ok = _one_way(levels, other_levels, points, start)
-    back, ok_back = _one_way(other_levels, levels, found, points + (found - start))
+    back, ok_back = _one_way(other_levels, levels, found, points + found - start)
     return found, ok & ok_back & (np.hypot(*(back - points).T) < _MEET)
 
 
@@ -203,8 +202,9 @@ def search(left: Levels, right: Levels, points: np.ndarray, rig: Rig, nearest: f
     disparities = np.arange(0.0, K[0, 0] * rig.camera.baseline / nearest, 2**level)[:, None]
     candidates = rig.right.unrectify(rig.left.rectify(points, K)[:, None] - disparities * [1.0, 0.0], K)
     possible = inside(right[level], candidates / 2**level, half)
-    compared = patches(right[level], np.where(possible[..., None], candidates / 2**level, half), half)
-    cost = np.where(possible, (patches(left[level], points / 2**level, half)[:, None] - compared).var(axis=(-2, -1)), np.inf)
+    differences = patches(right[level], np.where(possible[..., None], candidates / 2**level, half), half)
+    differences -= patches(left[level], points / 2**level, half)[:, None]
+    cost = np.where(possible, differences.var(axis=(-2, -1)), np.inf)
     return candidates[np.arange(len(points)), cost.argmin(axis=1)]
 
 
