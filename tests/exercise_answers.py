@@ -954,6 +954,53 @@ def left_behind_by_deletion(landmarks, P, keep):
     return np.delete(landmarks, np.flatnonzero(~keep), axis=0), np.delete(np.delete(P, gone, 0), gone, 1)
 
 
+@answer("patch_information")
+def information_pixel_by_pixel(g_u, g_v):
+    A = sum(np.outer(g, g) for g in zip(g_u.ravel(), g_v.ravel()))
+    return A, A.trace() / 2 - np.sqrt((A.trace() / 2)**2 - np.linalg.det(A))
+
+
+@answer("patch_information")
+def information_by_one_product(g_u, g_v):
+    g = np.array([g_u.ravel(), g_v.ravel()])
+    return g @ g.T, min(np.linalg.eigvals(g @ g.T))
+
+
+@answer("lucas_kanade_step")
+def step_by_least_squares(template, seen, g_u, g_v):
+    return np.linalg.lstsq(np.column_stack([g_u.ravel(), g_v.ravel()]), (template - seen).ravel())[0]
+
+
+@answer("lucas_kanade_step")
+def step_by_sums(template, seen, g_u, g_v):
+    a, b, d, r = np.sum(g_u**2), np.sum(g_u * g_v), np.sum(g_v**2), template - seen
+    p, q = np.sum(g_u * r), np.sum(g_v * r)
+    return np.array([d * p - b * q, a * q - b * p]) / (a * d - b * b)
+
+
+@answer("row_check")
+def rows_one_by_one(pixels, tolerance):
+    return np.array([abs(b - d) <= tolerance and a - c > 0 for a, b, c, d in pixels])
+
+
+@answer("row_check")
+def rows_by_columns(pixels, tolerance):
+    ul, vl, ur, vr = pixels.T
+    return np.logical_and.reduce([vl - vr <= tolerance, vr - vl <= tolerance, ul > ur])
+
+
+@answer("rectify_point")
+def rectified_by_a_homography(uv, K, rectified_R_cam, K_new):
+    x, y, z = K_new @ rectified_R_cam @ np.linalg.inv(K) @ [*uv, 1]
+    return np.array([x / z, y / z])
+
+
+@answer("rectify_point")
+def rectified_by_a_ray(uv, K, rectified_R_cam, K_new):
+    ray = rectified_R_cam @ [(uv[0] - K[0, 2]) / K[0, 0], (uv[1] - K[1, 2]) / K[1, 1], 1.0]
+    return K_new[:2, :2] @ (ray[:2] / ray[2]) + K_new[:2, 2]
+
+
 # --- chapter 16 -------------------------------------------------------------------------------------------
 
 @answer("velocity_rows")

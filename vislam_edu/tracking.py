@@ -11,10 +11,8 @@ Sources: Shi, Tomasi, Good features to track (1994); Lucas, Kanade, An iterative
 Bouguet, Pyramidal implementation of the Lucas Kanade feature tracker (2000).
 
 >>> import numpy as np
->>> square = np.zeros((60, 80))
->>> square[20:40, 30:60] = 200.0
->>> corners(square, 4).tolist()
-[[31.0, 21.0], [58.0, 21.0], [31.0, 38.0], [58.0, 38.0]]
+>>> corners(np.pad(np.full((20, 30), 200.0), 20), 4).tolist()
+[[21.0, 21.0], [48.0, 21.0], [21.0, 38.0], [48.0, 38.0]]
 """
 
 from collections.abc import Callable, Iterable, Iterator
@@ -141,8 +139,7 @@ def affine(image: np.ndarray, other: np.ndarray, points: np.ndarray, start: np.n
     J = (g[..., :, None] * basis[..., None, :].astype(np.float32)).reshape(len(points), (2 * HALF + 1)**2, 6)
     J -= J.mean(axis=1, keepdims=True)
     A = J.mT @ J + np.diag(np.tile([0.0, _GREY_PER_SHEAR, _GREY_PER_SHEAR], 2))
-    level = np.eye(2, 3, 1)  # M = I
-    warp = np.where([True, False, False], start[:, :, None], level)
+    warp = np.where([True, False, False], start[:, :, None], level := np.eye(2, 3, 1))  # M = I
     prior = _GREY_PER_SHEAR * np.array([0.0, 1.0, 1.0])
     for _ in range(_AFFINE_ITERATIONS):
         seen = ndimage.map_coordinates(other, np.einsum("nap,ijp->anij", warp, basis)[::-1], order=1, mode="nearest")
@@ -164,8 +161,8 @@ def _one_way(levels: Levels, other: Levels, points: np.ndarray, guess: np.ndarra
     """From the coarsest level to the image: each level's result, times two, is the next one's start."""
     found, ok = np.array(guess, float), np.zeros(len(points), bool)
     for level in reversed(range(len(levels))):
-        at, start = points / 2**level, found / 2**level
-        result, ok = lucas_kanade(levels[level], other[level], at, start, 0 if level else HALF)
+        result, ok = lucas_kanade(levels[level], other[level], points / 2**level, found / 2**level,
+                                  0 if level else HALF)
         found = np.where(ok[:, None], result * 2**level, found)  # what a coarse level loses a finer one may find
     found[ok], ok[ok] = affine(levels[0], other[0], points[ok], found[ok])
     return found, ok & inside(other[0], found, HALF)
@@ -182,14 +179,13 @@ def flow(image: np.ndarray | Levels, other: np.ndarray | Levels, points: ArrayLi
     levels, other_levels, points = pyramid(image), pyramid(other), np.reshape(np.asarray(points, float), (-1, 2))
     start = points if guess is None else np.reshape(np.asarray(guess, float), (-1, 2))
     found, ok = _one_way(levels, other_levels, points, start)
-    back, ok_back = _one_way(other_levels, levels, found, points + (found - start))
+    back, ok_back = _one_way(other_levels, levels, found, points + found - start)
     return found, ok & ok_back & (np.hypot(*(back - points).T) < _MEET)
 
 
 @dataclass(frozen=True, eq=False)
 class Frame:
     """What a pair shows: ids ascending, points px as taken and rectified; n_landmarks ids were given so far."""
-
     ids: np.ndarray  # (n,)
     left: np.ndarray  # (n, 2)
     right: np.ndarray  # (n, 2)
@@ -205,10 +201,10 @@ def search(left: Levels, right: Levels, points: np.ndarray, rig: Rig, nearest: f
     K, level, half = rig.camera.K, min(_COARSE, len(left) - 1), HALF // 2 + 1
     disparities = np.arange(0.0, K[0, 0] * rig.camera.baseline / nearest, 2**level)[:, None]
     candidates = rig.right.unrectify(rig.left.rectify(points, K)[:, None] - disparities * [1.0, 0.0], K)
-    template = patches(left[level], points / 2**level, half)[:, None]
     possible = inside(right[level], candidates / 2**level, half)
-    compared = patches(right[level], np.where(possible[..., None], candidates / 2**level, half), half)
-    cost = np.where(possible, (template - compared).var(axis=(-2, -1)), np.inf)
+    differences = patches(right[level], np.where(possible[..., None], candidates / 2**level, half), half)
+    differences -= patches(left[level], points / 2**level, half)[:, None]
+    cost = np.where(possible, differences.var(axis=(-2, -1)), np.inf)
     return candidates[np.arange(len(points)), cost.argmin(axis=1)]
 
 

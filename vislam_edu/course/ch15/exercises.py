@@ -25,8 +25,8 @@ def patch_information(g_u, g_v):
     return A, np.linalg.eigvalsh(A)[0]
 
 
-@patch_information.mistake("outer product of the sums", """Gradients of both signs cancel in the sum, and the outer product
-of one vector has rank one: its smaller eigenvalue is 0 for every patch. Multiply first, then sum.""")
+@patch_information.mistake("outer product of the sums", """Gradients of both signs cancel in the sum, and the outer
+product of one vector has rank one: its smaller eigenvalue is 0 for every patch. Multiply first, then sum.""")
 def _(g_u, g_v):
     g = np.array([g_u.sum(), g_v.sum()])
     A = np.outer(g, g)
@@ -94,8 +94,8 @@ def row_check(pixels, tolerance):
     return (np.abs(pixels[:, 1] - pixels[:, 3]) <= tolerance) & (pixels[:, 0] > pixels[:, 2])
 
 
-@row_check.mistake("difference of rows without its sign", """A right row far below the left one passes: the difference is
-then a large negative number. Compare its absolute value.""")
+@row_check.mistake("difference of rows without its sign", """A right row far below the left one passes: the difference
+is then a large negative number. Compare its absolute value.""")
 def _(pixels, tolerance):
     return (pixels[:, 1] - pixels[:, 3] <= tolerance) & (pixels[:, 0] > pixels[:, 2])
 

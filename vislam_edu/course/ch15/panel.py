@@ -58,4 +58,4 @@ class PatchPicture(Picture):
         return f"Step {step}: residual {residual:.1f} grey values, step ({move[0]:+.2f}, {move[1]:+.2f}) px."
 
     def alt(self, step):
-        return f"A patch, the other image at the present guess, and their difference with the step. {self.caption(step)}"
+        return f"A patch, the other image at the guess, and their difference with the step. {self.caption(step)}"
