@@ -149,7 +149,8 @@ def write(result, folder, smoothed=None, warnings=()):
     """Write all that `python -m vislam_edu run` promises into an empty folder. Returns the summary.
 
     summary.json, null for NaN. kitti/trajectory.txt and tum/trajectory.txt, poses of the left camera (as
-    mounted, where the pixels were rectified) in the frame of the first one (KITTI's convention), and dead_reckoning.txt beside them.
+    mounted, where the pixels were rectified) in the frame of the first one (KITTI's convention), and dead_reckoning.txt
+    beside them.
     result.npz: poses of the IMU, covariances of right perturbations [position m, rotation rad] (pose_covariance:
     without calibration error; calibration_covariance: that error alone, where it was asked for), and the landmarks (m,
     world) that the filter used, with ids and covariances. fig1_... to fig7_... .png. smoothed : `pipeline.Smoothed` or

@@ -7,7 +7,7 @@
 An error of a lens is the same in every frame, so a batch estimate can find it: each number is one more unknown that
 touches every pixel. Not all of them can be told from the world. Focal length and radial term change the picture as a
 slightly different path through slightly different scenery would: left free they run away and take the path with them.
-So their prior is tight. The disparity's terms are seen well and are off by pixels on real cameras; their prior is loose.
+So their prior is tight. The disparity's terms are seen well and are off by pixels on real cameras: their prior is loose.
 
 Source: Triggs et al., Bundle adjustment: a modern synthesis, 2000 (self-calibration, priors on what is weakly seen).
 """
