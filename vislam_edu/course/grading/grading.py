@@ -16,7 +16,7 @@ import tempfile
 import threading
 import time
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -188,15 +188,23 @@ def _entries(record) -> list[dict[str, Any]]:
 
 
 def _verdicts(record) -> dict[str, Result]:
-    """The last verdict on each exercise, as far as the record makes sense."""
+    """The last verdict on each exercise, as far as the record makes sense.
+
+    A score of the capstone stands beside the verdict of its check and never replaces it: without a check the exercise
+    counts as not written.
+    """
     results: dict[str, Result] = {}
+    scores: dict[str, dict | None] = {}
     for entry in _entries(record):
         name, status = entry.get("exercise"), entry.get("status")
-        if not (isinstance(name, str) and name in EXERCISES and status in (RIGHT, WRONG, NOT_WRITTEN)):
+        if not (isinstance(name, str) and name in EXERCISES):
             continue
-        score = entry.get("score", results[name].score if name in results else None)
-        results[name] = Result(name, status, shown(entry.get("mistake", "")), _lines(entry.get("text", "")),
-                               _score(score))
+        if "score" in entry:
+            scores[name] = _score(entry["score"])
+        elif status in (RIGHT, WRONG, NOT_WRITTEN):
+            results[name] = Result(name, status, shown(entry.get("mistake", "")), _lines(entry.get("text", "")))
+    for name, score in scores.items():
+        results[name] = replace(results.get(name) or Result(name, NOT_WRITTEN), score=score)
     return results
 
 
