@@ -147,7 +147,7 @@ class Report:
             for row in zip(AXES, self.signs, self.alignment.correlation, noise):
                 lines.append("{:8}{:>+15.2f}{:>+15.2f}{:>12.3g}".format(*row))
             lines.append("(v in m/s, gyro in rad/s)")
-        lines += ["", style.on_a_page(self._verdict())]
+        lines += ["", plots.on_a_page(self._verdict())]
         for i, finding in enumerate(self.findings, start=1):
             future = " (needs the whole drive)" if finding.cure and finding.cure.needs_future else ""
             lines.append(on_a_page(f"{i}. {finding}{future}"))
