@@ -3,7 +3,8 @@
 import numpy as np
 
 from ... import imu
-from ...plots.style import COLOURS, two_digits
+from ...plots.style import COLOURS
+from ...plots.text import two_digits
 from ...widgets.canvas import Decades, Picture
 from ...widgets.panels import add_axes, legend_above
 
