@@ -36,6 +36,7 @@ motion                  the joint belief, and how it moves
 window_slam             the joint filter over the landmarks in view, fast
 robust                  weights and slipping landmarks for real tracks
 smoother                the final estimate of every landmark
+normal_equations        least squares by blocks: what `batch` solves
 batch                   the whole drive at once: least squares over poses and landmarks
 association             which landmarks are the same place, and closing the loop
 recordings              room: files
@@ -67,6 +68,7 @@ if TYPE_CHECKING:
         metrics,
         motion,
         noise,
+        normal_equations,
         odometry,
         plots,
         recordings,
@@ -89,8 +91,8 @@ __version__ = "0.2.0"
 __all__ = [
     "Drive", "Noise", "RightInvariant", "RightPerturbation", "StereoCamera", "association", "audit", "batch", "belief",
     "drive", "ekf_slam", "error_state", "kalman", "load", "mapping", "metrics", "motion",
-    "noise", "odometry", "plots", "recordings", "robust", "se3", "simulate", "smoother", "stereo", "studies", "widgets",
-    "window_slam",
+    "noise", "normal_equations", "odometry", "plots", "recordings", "robust", "se3", "simulate", "smoother", "stereo",
+    "studies", "widgets", "window_slam",
 ]
 
 _DEFINED_IN = {"load": "recordings", "Drive": "drive", "Noise": "noise", "StereoCamera": "stereo",

@@ -18,6 +18,12 @@ def add_arguments(parser):
     parser.add_argument("--calibration", action="store_true",
                         help="run the joint filter again with each lens parameter turned by one standard deviation, in "
                              "parallel, and add what moves to the covariance of the path")
+    lens = parser.add_mutually_exclusive_group()
+    lens.add_argument("--lens", action="store_true",
+                      help="with --audit: estimate from the whole drive what the lenses are off by, print it, write it "
+                           "to DIR/lens.json, and run the filter on corrected pixels")
+    lens.add_argument("--lens-from", type=Path, metavar="FILE",
+                      help="correct the pixels by a lens.json that another drive of the same cameras has left")
     parser.add_argument("--batch", action="store_true",
                         help="estimate the whole drive at once as well, by least squares (with --audit: robust, with "
                              "the gyro's bias and the scale of the speed)")
@@ -80,6 +86,20 @@ def prepare(arguments):
     return drive.subsample(arguments.every), noise_from(arguments, base), options
 
 
+def correct_lens(arguments, drive, noise):
+    """The drive with its pixels corrected, the `lens.Lens` that did it, and warnings of its estimate."""
+    from ..studies import lens, pipeline
+
+    if arguments.lens_from:
+        found, warnings = lens.load(arguments.lens_from), []
+    else:
+        found, smoothed = lens.estimate(pipeline.batch_of_real_drive(drive, noise, scale_sigma=0.05))
+        warnings = [f"lens: {warning}" for warning in smoothed.warnings]
+    if not arguments.quiet:
+        print(found, end="\n\n")
+    return found.corrected(drive), found, warnings
+
+
 def batch_problem(arguments, drive, noise):
     """What `--batch` minimises. Raises OptionError or DriveError where nothing can be minimised."""
     from .. import batch
@@ -118,7 +138,12 @@ def run(arguments):
 
     if arguments.causal and not arguments.audit:
         raise OptionError("run: --causal says which cures to apply, so it needs --audit")
+    if arguments.lens and (arguments.causal or not arguments.audit):
+        raise OptionError("run: --lens needs --audit and the whole drive, so not --causal; --lens-from needs neither")
     drive, noise, options = prepare(arguments)
+    found, lens_warnings = None, []
+    if arguments.lens or arguments.lens_from:
+        drive, found, lens_warnings = correct_lens(arguments, drive, noise)
     problem = batch_problem(arguments, drive, noise) if arguments.batch else None
     invariant = (arguments.error_state or ("invariant" if arguments.audit else "right")) == "invariant"
     method = "invariant" if invariant else "report" if arguments.report_noise else "slam"
@@ -130,7 +155,7 @@ def run(arguments):
                 result = pipeline.run_pipeline(
                     drive, noise, RightInvariant() if invariant else RightPerturbation(), method=method,
                     gate=arguments.gate, min_disparity=arguments.min_disparity,
-                    consider_calibration=arguments.calibration,
+                    consider_calibration=arguments.calibration, lens_px=found and found.sigma_px,
                     progress=partial(tqdm, disable=arguments.quiet), **options)
         except LinAlgError as error:
             raise DriveError(f"{arguments.recording}: the filter broke down ({error}), "
@@ -139,7 +164,7 @@ def run(arguments):
             raise DriveError(f"{arguments.recording}: not finite, or with a covariance that is not positive definite: "
                              f"{', '.join(unusable)}; {breakdown.likely_reason(drive, noise)}")
         smoothed = pipeline.run_batch(problem, result.slam.trajectory.world_T_imu) if problem else None
-        numbers = outputs.write(result, folder, smoothed)
+        numbers = outputs.write(result, folder, smoothed, found, lens_warnings)
     if not arguments.quiet:
         print(outputs.table(numbers))
         print(f"written to {arguments.out}")
