@@ -38,6 +38,7 @@ motion                  the joint belief, and how it moves
 window_slam             the joint filter over the landmarks in view, fast
 robust                  weights and slipping landmarks for real tracks
 smoother                the final estimate of every landmark
+normal_equations        least squares by blocks: what `batch` solves
 batch                   the whole drive at once: least squares over poses and landmarks
 association             which landmarks are the same place, and closing the loop
 imu                     a real IMU: gravity, biases, preintegration
@@ -75,6 +76,7 @@ if TYPE_CHECKING:
         metrics,
         motion,
         noise,
+        normal_equations,
         odometry,
         plots,
         recordings,
@@ -98,7 +100,8 @@ __version__ = "0.2.0"
 __all__ = [
     "Drive", "InverseDepth", "Noise", "RightInvariant", "RightPerturbation", "StereoCamera", "association", "audit",
     "batch", "belief", "drive", "ekf_slam", "error_state", "imu", "inertial", "inverse_depth", "kalman", "lens",
-    "load", "mapping", "metrics", "motion", "noise", "odometry", "plots", "recordings", "robust", "se3", "simulate",
+    "load", "mapping", "metrics", "motion", "noise", "normal_equations", "odometry", "plots", "recordings",
+    "robust", "se3", "simulate",
     "smoother", "stereo", "studies", "tracking", "widgets", "window_slam",
 ]
 

@@ -28,17 +28,17 @@ from itertools import accumulate
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.linalg import LinAlgError, block_diag, cho_solve_banded, cholesky_banded
+from scipy.linalg import LinAlgError
 from scipy.sparse import bsr_array, csr_array, hstack, vstack
 from scipy.sparse.csgraph import reverse_cuthill_mckee
 
 from . import odometry, se3
 from .drive import Drive, DriveError
 from .noise import Noise
+from .normal_equations import Factorised, NormalEquations, block_rows
 from .stereo import ROW_VARIANCE, ROWS, reduce_rows
 
 BEHIND = 1e4  # squared residual of a landmark that an iteration has put behind the camera: bad, but finite
-ALMOST_NOTHING = 1e-12  # 1/m^2, information about every landmark: where no camera measured one, nothing divides by 0
 DAMPING = 1e-9, 1e8  # least and most of Levenberg-Marquardt's lambda
 
 Loss = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
@@ -221,14 +221,6 @@ def path_twists(world_T_imu: np.ndarray, taus: np.ndarray) -> tuple[np.ndarray, 
     return (step / taus[:, None], -se3.left_jacobian_inverse(step) / tau, se3.right_jacobian_inverse(step) / tau)
 
 
-def _sparse(n_frames: int, *blocks: np.ndarray) -> bsr_array:
-    """Sparse (6n, 6T) whose row i holds blocks[0][i] at frame i, blocks[1][i] at frame i + 1, ...; each (n, 6, 6)."""
-    n, width = len(blocks[0]), len(blocks)
-    columns = np.arange(n)[:, None] + np.arange(width)
-    return bsr_array((np.stack(blocks, axis=1).reshape(-1, 6, 6), columns.ravel(), width * np.arange(n + 1)),
-                     shape=(6 * n, 6 * n_frames))
-
-
 def motion_residuals(problem: Problem, estimate: Estimate) -> tuple[np.ndarray, bsr_array, np.ndarray]:
     """All residuals without a landmark: prior on T_0, IMU, walk. Each is divided by its standard deviation.
 
@@ -239,7 +231,7 @@ def motion_residuals(problem: Problem, estimate: Estimate) -> tuple[np.ndarray, 
 
     whiten = np.linalg.inv(np.linalg.cholesky(noise.initial_pose_covariance))
     e0 = se3.log(se3.inverse(problem.prior_world_T_imu) @ estimate.world_T_imu[0])
-    rows = [(whiten @ e0, _sparse(T, (whiten @ se3.right_jacobian_inverse(e0))[None]), np.zeros((6, 4)))]
+    rows = [(whiten @ e0, block_rows(T, (whiten @ se3.right_jacobian_inverse(e0))[None]), np.zeros((6, 4)))]
 
     bias, scale = estimate.imu[:3], estimate.imu[3]
     gain = np.repeat([scale, 1.0], 3)
@@ -248,13 +240,13 @@ def motion_residuals(problem: Problem, estimate: Estimate) -> tuple[np.ndarray, 
     by_imu[:, 3:, :3], by_imu[:, :3, 3] = np.eye(3), xi[:, :3]
     scaled = (weight * gain)[:, None]
     rows.append(((weight * (gain * xi + np.pad(bias, (3, 0)) - drive.step_twists)).ravel(),
-                 _sparse(T, scaled * by_this, scaled * by_next), (weight[:, None] * by_imu).reshape(-1, 4)))
+                 block_rows(T, scaled * by_this, scaled * by_next), (weight[:, None] * by_imu).reshape(-1, 4)))
 
     if problem.walk_sigma is not None:
         weight = 1 / np.repeat(problem.walk_sigma, 3)
         w = weight[:, None]
         rows.append(((weight * np.diff(xi, axis=0)).ravel(),
-                     _sparse(T, -w * by_this[:-1], w * (by_this[1:] - by_next[:-1]), w * by_next[1:]),
+                     block_rows(T, -w * by_this[:-1], w * (by_this[1:] - by_next[:-1]), w * by_next[1:]),
                      np.zeros((6 * (T - 2), 4))))
     r, J, J_imu = zip(*rows)
     return np.concatenate(r), vstack(J, format="bsr"), np.concatenate(J_imu)
@@ -323,102 +315,6 @@ def linearise(problem: Problem, estimate: Estimate) -> Linearised:
                       root * J_lens, r_constants)
 
 
-# --- the normal equations -----------------------------------------------------------------------------------
-
-
-class NormalEquations:
-    """H delta = g with H = J^T J and g = -J^T r, in blocks: poses, landmarks, constants of IMU and lenses.
-
-        U    E     B       poses: each frame touches few others
-        E^T  V     B       landmarks: V is block diagonal, no residual holds two of them
-        B^T  B^T   D       B has the rows of both; only the lenses touch landmarks
-    """
-
-    def __init__(self, at: Linearised):
-        self.problem = problem = at.problem
-        T, M, N = problem.drive.n_frames, problem.drive.n_landmarks, len(at.r_px)
-        to_frame = csr_array((np.ones(N), np.arange(N), problem.drive.frame_start), shape=(T, N))  # sums observations
-        to_landmark = csr_array((np.ones(N), (problem.landmark, np.arange(N))), shape=(M, N))
-        poseT, landmarkT = np.swapaxes(at.J_pose, 1, 2), np.swapaxes(at.J_landmark, 1, 2)
-
-        def total(sums, blocks):
-            return (sums @ blocks.reshape(N, -1)).reshape(sums.shape[0], *blocks.shape[1:])
-
-        self.U = (at.J.T @ at.J + _sparse(T, total(to_frame, poseT @ at.J_pose))).tobsr((6, 6))
-        self.V = total(to_landmark, landmarkT @ at.J_landmark) + ALMOST_NOTHING * np.eye(3)
-        self.E = problem.by_frame(poseT @ at.J_landmark)
-        L = at.J_lens.shape[2]
-        lens = at.J_lens.reshape(3 * N, L)
-        self.free = np.flatnonzero(problem.sigma_constants > 0)
-        information = problem.sigma_constants[self.free]**-2.0
-        by_lens = [total(to_frame, poseT @ at.J_lens).reshape(6 * T, L),
-                   total(to_landmark, landmarkT @ at.J_lens).reshape(3 * M, L)]
-        by_imu = [at.J.T @ at.J_imu, np.zeros((3 * M, 4))]
-        self.B = np.hstack([np.vstack(by_imu), np.vstack(by_lens)])[:, self.free]
-        D = block_diag(at.J_imu.T @ at.J_imu, lens.T @ lens)
-        self.D = D[np.ix_(self.free, self.free)] + np.diag(information)
-        g_constants = np.concatenate([at.J_imu.T @ at.r, lens.T @ at.r_px.ravel()])[self.free]
-        self.g = -np.concatenate([
-            at.J.T @ at.r + total(to_frame, np.matvec(poseT, at.r_px)).ravel(),
-            total(to_landmark, np.matvec(landmarkT, at.r_px)).ravel(),
-            g_constants + information * at.r_constants[self.free]])
-
-
-class Factorised:
-    """The normal equations ready to be solved: landmarks eliminated first, then the poses, then the constants.
-
-    With V = L L^T and F = E L^-T the landmarks leave S = U - F F^T to the poses (the Schur complement). Two frames are
-    neighbours in S when one landmark is seen in both, so S is a band as wide as the longest track. The constants
-    touch every frame: a border.
-
-    damping : lambda of Levenberg-Marquardt, H + lambda diag(H).
-    Raises LinAlgError when H is not positive definite (in floating point numbers).
-    """
-
-    def __init__(self, normal: NormalEquations, damping: float = 0.0):
-        problem = normal.problem
-        V = normal.V + damping * normal.V * np.eye(3)
-        self.L_inverse = np.linalg.inv(np.linalg.cholesky(V))
-        L_inverseT = np.swapaxes(self.L_inverse, 1, 2)
-        self.F = problem.by_frame(normal.E.data @ L_inverseT[problem.landmark])
-        self.S = (normal.U - self.F @ self.F.T).tocoo()
-        self.place = (6 * problem.rank[:, None] + np.arange(6)).ravel()  # of each row of S in the band
-        row, column = self.place[self.S.row], self.place[self.S.col]
-        below = row >= column
-        band = np.zeros(((row - column).max() + 1, len(self.place)))
-        band[(row - column)[below], column[below]] = self.S.data[below]
-        band[0, self.place] += damping * normal.U.diagonal()
-        self.band = cholesky_banded(band, lower=True, overwrite_ab=True, check_finite=False)
-        self.B = normal.B
-        self.H_B = self._without_border(normal.B)
-        D = normal.D + damping * normal.D * np.eye(len(normal.D))
-        self.D_inverse = np.linalg.inv(D - normal.B.T @ self.H_B)
-
-    def _poses(self, right: np.ndarray) -> np.ndarray:
-        """S^-1 times right (6T, n)."""
-        ordered = np.empty_like(right)
-        ordered[self.place] = right
-        return cho_solve_banded((self.band, True), ordered, overwrite_b=True, check_finite=False)[self.place]
-
-    def _without_border(self, g: np.ndarray) -> np.ndarray:
-        """Poses and landmarks (6T + 3M, n) for the right side g (6T + 3M, n) if the constants were known."""
-        poses, n = len(self.place), g.shape[1]
-
-        def each(blocks, x):  # (M, 3, 3) times (3M, n)
-            return (blocks @ x.reshape(len(blocks), 3, n)).reshape(x.shape)
-
-        landmarks = each(self.L_inverse, g[poses:])
-        x = self._poses(g[:poses] - self.F @ landmarks)
-        return np.concatenate([x, each(np.swapaxes(self.L_inverse, 1, 2), landmarks - self.F.T @ x)])
-
-    def solve(self, g: np.ndarray) -> np.ndarray:
-        """H^-1 times g (6T + 3M + f, n): f constants are unknown."""
-        end = len(self.B)
-        x = self._without_border(g[:end])
-        constants = self.D_inverse @ (g[end:] - self.B.T @ x)
-        return np.concatenate([x - self.H_B @ constants, constants])
-
-
 # --- iterations ---------------------------------------------------------------------------------------------
 
 
@@ -459,7 +355,7 @@ def iterate(problem: Problem, estimate: Estimate | None = None, damping: float =
             except LinAlgError:
                 damping *= 10
                 continue
-            moved = in_front_again(problem, estimate.retract(_whole(step, normal), problem.anchor))
+            moved = in_front_again(problem, estimate.retract(normal.with_known(step), problem.anchor))
             at = linearise(problem, moved)
             if at.cost <= before:
                 break
@@ -473,13 +369,6 @@ def iterate(problem: Problem, estimate: Estimate | None = None, damping: float =
         if converged:
             return
         damping = max(damping / 10, DAMPING[0])
-
-
-def _whole(step: np.ndarray, normal: NormalEquations) -> np.ndarray:
-    """The step with zeros for the constants that are known."""
-    constants = np.zeros(len(normal.problem.sigma_constants))
-    constants[normal.free] = step[len(normal.B):]
-    return np.concatenate([step[:len(normal.B)], constants])
 
 
 @dataclass(frozen=True, eq=False)

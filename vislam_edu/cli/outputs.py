@@ -20,7 +20,7 @@ from ..studies import pipeline
 PNG = style.PNG | {"pil_kwargs": {"compress_level": 3}}  # 2 % more bytes than 6, the default, in a third of the time
 
 
-def summary(result, smoothed=None, warnings=()) -> dict:
+def summary(result, smoothed=None, lens=None, warnings=()) -> dict:
     """The numbers that sum a run up; keys name their units.
 
     Counts: frames, landmarks (in the recording), landmarks_used (that entered the joint filter),
@@ -36,9 +36,9 @@ def summary(result, smoothed=None, warnings=()) -> dict:
     with that error in the covariance. Also position_rmse_m (the IMU's position, world = IMU frame at frame 0, no
     alignment), ate_m (after SE(3) alignment) and KITTI drift, of the left camera as in the benchmark, NaN for drives
     under 100 m; those of dead reckoning carry its name. With a batch estimate its seconds, iterations and the same
-    errors, under its name; `batch` says how it ended and what it claims, see `_ending`. Last, as lists of
-    sentences, changed (what was done to the recording) and warnings (what speaks against the
-    result, those given first).
+    errors, under its name; `batch` says how it ended and what it claims, see `_ending`. Where pixels were
+    corrected, lens_px and lens_sigma_px: the numbers of that `lens.Lens`. Last, as lists of sentences, changed
+    (what was done to the recording) and warnings (what speaks against the result, those given first).
     """
     drive, slam = result.drive, result.slam
     numbers = {
@@ -70,6 +70,8 @@ def summary(result, smoothed=None, warnings=()) -> dict:
             world_T_cam = poses @ drive.camera.imu_T_cam
             numbers["batch_drift_percent"] = metrics.kitti_drift(drive.truth_world_T_cam, world_T_cam)[0]
         numbers["batch"] = _ending(smoothed.solution)
+    if lens is not None:
+        numbers |= {"lens_px": lens.px, "lens_sigma_px": lens.sigma_px}
     numbers["recommended"] = "dead reckoning" if pipeline.has_few_tracks(drive) else "filter"
     found = [*warnings, *result.warnings, *(smoothed.warnings if smoothed is not None else [])]
     return numbers | {"changed": list(drive.history), "warnings": found}
@@ -145,7 +147,7 @@ def _strict(value):
     return None if isinstance(value, float) and math.isnan(value) else value
 
 
-def write(result, folder, smoothed=None, warnings=()):
+def write(result, folder, smoothed=None, lens=None, warnings=()):
     """Write all that `python -m vislam_edu run` promises into an empty folder. Returns the summary.
 
     summary.json, null for NaN. kitti/trajectory.txt and tum/trajectory.txt, poses of the left camera (as
@@ -154,12 +156,15 @@ def write(result, folder, smoothed=None, warnings=()):
     result.npz: poses of the IMU, covariances of right perturbations [position m, rotation rad] (pose_covariance:
     without calibration error; calibration_covariance: that error alone, where it was asked for), and the landmarks (m,
     world) that the filter used, with ids and covariances. fig1_... to fig7_... .png. smoothed : `pipeline.Smoothed` or
-    None; its poses and landmarks are then in result.npz too, and fig8_batch.png compares the paths. warnings :
-    sentences that come before those of the result.
+    None; its poses and landmarks are then in result.npz too, and fig8_batch.png compares the paths. lens :
+    `lens.Lens` that corrected the pixels, or None; it is written to lens.json. warnings : sentences that come before
+    those of the result.
     """
     folder, drive, slam = Path(folder), result.drive, result.slam
-    numbers = summary(result, smoothed, warnings)
+    numbers = summary(result, smoothed, lens, warnings)
     (folder / "summary.json").write_text(json.dumps(_strict(numbers), indent=2) + "\n", encoding="utf-8")
+    if lens is not None:
+        lens.save(folder / "lens.json")
     for layout in ("kitti", "tum"):
         (folder / layout).mkdir()
     for name, trajectory in (("trajectory", slam.trajectory), ("dead_reckoning", result.dead_reckoning)):

@@ -21,6 +21,12 @@ def add_arguments(parser):
     parser.add_argument("--calibration", action="store_true",
                         help="run the joint filter again with each lens parameter turned by one standard deviation, in "
                              "parallel, and add what moves to the covariance of the path")
+    lens = parser.add_mutually_exclusive_group()
+    lens.add_argument("--lens", action="store_true",
+                      help="with --audit: estimate from the whole drive what the lenses are off by, print it, write it "
+                           "to DIR/lens.json, and run the filter on corrected pixels")
+    lens.add_argument("--lens-from", type=Path, metavar="FILE",
+                      help="correct the pixels by a lens.json that another drive of the same cameras has left")
     parser.add_argument("--batch", action="store_true",
                         help="estimate the whole drive at once as well, by least squares (with --audit: robust, with "
                              "the gyro's bias and the scale of the speed)")
@@ -109,6 +115,20 @@ def error_state_of(arguments):
     return {"inverse-depth": InverseDepth, "right": RightPerturbation}.get(name, RightInvariant)()
 
 
+def correct_lens(arguments, drive, noise):
+    """The drive with its pixels corrected, the `lens.Lens` that did it, and warnings of its estimate."""
+    from ..studies import lens, pipeline
+
+    if arguments.lens_from:
+        found, warnings = lens.load(arguments.lens_from), []
+    else:
+        found, smoothed = lens.estimate(pipeline.batch_of_real_drive(drive, noise, scale_sigma=0.05))
+        warnings = [f"lens: {warning}" for warning in smoothed.warnings]
+    if not arguments.quiet:
+        print(found, end="\n\n")
+    return found.corrected(drive), found, warnings
+
+
 def batch_problem(arguments, drive, noise):
     """What `--batch` minimises. Raises OptionError or DriveError where nothing can be minimised."""
     from .. import batch
@@ -146,9 +166,15 @@ def run(arguments):
 
     if (arguments.causal or arguments.force) and not arguments.audit:
         raise OptionError("run: --causal and --force say which cures to apply, so they need --audit")
+    if arguments.lens and (arguments.causal or not arguments.audit):
+        raise OptionError("run: --lens needs --audit and the whole drive, so not --causal; --lens-from needs neither")
     error_state = error_state_of(arguments)
     drive, noise, options, warnings = prepare(arguments)
     method = "report" if error_state.role == "slam" and arguments.report_noise else error_state.role
+    found = None
+    if arguments.lens or arguments.lens_from:
+        drive, found, doubts = correct_lens(arguments, drive, noise)
+        warnings = [*warnings, *doubts]
     problem = batch_problem(arguments, drive, noise) if arguments.batch else None
     if arguments.initialisation == "as-report":
         options["process_frame"] = window_slam.as_report
@@ -158,6 +184,7 @@ def run(arguments):
                 result = pipeline.run_pipeline(
                     drive, noise, error_state, method=method, gate=arguments.gate,
                     min_disparity=arguments.min_disparity, consider_calibration=arguments.calibration,
+                    lens_px=found and found.sigma_px,
                     progress=partial(tqdm, disable=arguments.quiet), **options)
         except LinAlgError as error:
             raise DriveError(f"{arguments.recording}: the filter broke down ({error}), "
@@ -166,7 +193,7 @@ def run(arguments):
             raise DriveError(f"{arguments.recording}: not finite, or with a covariance that is not positive definite: "
                              f"{', '.join(unusable)}; {breakdown.likely_reason(drive, noise)}")
         smoothed = pipeline.run_batch(problem, result.slam.trajectory.world_T_imu) if problem else None
-        numbers = outputs.write(result, folder, smoothed, [*ground_truth_doubts(arguments, drive), *warnings])
+        numbers = outputs.write(result, folder, smoothed, found, [*ground_truth_doubts(arguments, drive), *warnings])
     if not arguments.quiet:
         print(outputs.table(numbers))
         print(f"written to {arguments.out}")

@@ -55,16 +55,18 @@ def moved(world_T_imu, other):
     return RightPerturbation().pose_difference(other, world_T_imu)
 
 
-def covariance(drive, world_T_imu, find_path, progress=lambda runs, **_: runs):
+def covariance(drive, world_T_imu, find_path, progress=lambda runs, **_: runs, lens_px=None):
     """(T, 6, 6) of right perturbations, what errors of the calibration add to the covariance of a path.
 
     drive : Drive. world_T_imu : (T, 4, 4), what `find_path(drive)` gives; it is called once more for each of `LENS_PX`,
     in as many processes as `joblib.parallel_config` says. progress : called as `progress(runs, total=, desc=, unit=)`.
+    lens_px : in place of `LENS_PX`, where a lens was estimated and less is left of it.
     """
     import joblib  # here: `run` needs it for nothing else
 
+    lens_px = LENS_PX if lens_px is None else lens_px
     ways = [moved(world_T_imu, turned(world_T_imu, gauge)) for gauge in GAUGES]
-    jobs = (joblib.delayed(find_path)(faults.lens_error(drive, **{knob: px})) for knob, px in LENS_PX.items())
+    jobs = (joblib.delayed(find_path)(faults.lens_error(drive, **{knob: px})) for knob, px in lens_px.items())
     paths = joblib.Parallel(return_as="generator")(jobs)
-    ways += [moved(world_T_imu, path) for path in progress(paths, total=len(LENS_PX), desc="calibration", unit="run")]
+    ways += [moved(world_T_imu, path) for path in progress(paths, total=len(lens_px), desc="calibration", unit="run")]
     return sum(way[:, :, None] * way[:, None, :] for way in ways)

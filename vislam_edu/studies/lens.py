@@ -7,7 +7,8 @@
 An error of a lens is the same in every frame, so a batch estimate can find it: each number is one more unknown that
 touches every pixel. Not all of them can be told from the world. Focal length and radial term change the picture as a
 slightly different path through slightly different scenery would: left free they run away and take the path with them.
-So their prior is tight. The disparity's terms are seen well and are off by pixels on real cameras: their prior is loose.
+So their prior is tight. The disparity's terms are seen well and are off by pixels on real cameras: their prior is
+loose.
 
 Source: Triggs et al., Bundle adjustment: a modern synthesis, 2000 (self-calibration, priors on what is weakly seen).
 """
@@ -63,8 +64,8 @@ def load(path) -> Lens:
     """A `Lens` that was saved. path : pathlib.Path. Raises DriveError when the file holds none."""
     try:
         read = json.loads(path.read_text(encoding="utf-8"))
-        lens = Lens(*({name: float(read[key][name]) for name in PRIOR_PX} for key in ("px", "sigma_px")),
-                    float(read["focal_length_px"]), float(read["baseline_m"]))
+        px, sigma_px = ({name: float(read[key][name]) for name in PRIOR_PX} for key in ("px", "sigma_px"))
+        lens = Lens(px, sigma_px, float(read["focal_length_px"]), float(read["baseline_m"]))
     except (ValueError, TypeError, KeyError) as error:
         raise DriveError(f"{path}: not a lens as `run --lens` writes it ({type(error).__name__}: {error})") from None
     if not np.isfinite([*lens.px.values(), *lens.sigma_px.values()]).all():
@@ -94,5 +95,5 @@ def estimate(problem, world_T_imu=None) -> tuple[Lens, pipeline.Smoothed]:
     smoothed = pipeline.run_batch(with_lens(problem, first), first.world_T_imu)
     solution, camera = smoothed.solution, problem.drive.camera
     sigma = np.sqrt(np.diagonal(solution.lens_covariance()))
-    return Lens(*(dict(zip(PRIOR_PX, map(float, numbers))) for numbers in (solution.estimate.lens, sigma)),
-                float(camera.K[0, 0]), camera.baseline), smoothed
+    px, sigma_px = (dict(zip(PRIOR_PX, map(float, numbers))) for numbers in (solution.estimate.lens, sigma))
+    return Lens(px, sigma_px, float(camera.K[0, 0]), float(camera.baseline)), smoothed

@@ -189,14 +189,15 @@ def joint_path(drive, noise, error_state, **options) -> np.ndarray:
 
 
 def run_pipeline(drive, noise, error_state=None, *, gate=0.99, min_disparity=1.0, consider_calibration=False,
-                 progress=no_progress, **options) -> Result:
+                 lens_px=None, progress=no_progress, **options) -> Result:
     """All the report's estimates of one drive.
 
     drive : Drive. noise : Noise, of all of them. error_state : of the joint filter, `RightPerturbation()` by default.
     gate : probability that a good measurement passes, in the joint filter. min_disparity : px, below it a
     landmark waits for a better view. consider_calibration : whether to run the joint filter again with each knob of the
-    calibration turned. progress : called as `progress(frames, total=, desc=, unit=)`, as tqdm is.
-    options : further ones of `joint`, which is the only one of the three filters that has these choices.
+    calibration turned. lens_px : by how much, of the lenses, see `calibration.covariance`. progress : called as
+    `progress(frames, total=, desc=, unit=)`, as tqdm is. options : further ones of `joint`, which is the only one of
+    the three filters that has these choices.
     """
     dead_reckoning = odometry.dead_reckon(drive, noise)
     poses = dead_reckoning.world_T_imu
@@ -208,7 +209,8 @@ def run_pipeline(drive, noise, error_state=None, *, gate=0.99, min_disparity=1.0
     slam = joint(drive, progress=progress, **options)
     added = None
     if consider_calibration:
-        added = calibration.covariance(drive, slam.trajectory.world_T_imu, partial(joint_path, **options), progress)
+        added = calibration.covariance(drive, slam.trajectory.world_T_imu, partial(joint_path, **options), progress,
+                                       lens_px)
     return Result(drive, noise, dead_reckoning, initial, mapped, slam, gate, added)
 
 
