@@ -8,7 +8,7 @@ from setuptools.command.build_py import build_py
 
 HERE = Path(__file__).parent
 SHIPPED = ("data/*.npz", "notebooks/*.ipynb", "notebooks/images/*", "benchmarks/results/*.json",
-           "docs/notation.md", "docs/reading.md", "docs/instructor.md")
+           "docs/notation.md", "docs/reading.md")
 
 
 class BuildWithNotebooks(build_py):

@@ -952,3 +952,133 @@ def curved_row_by_row(f, baseline, point, C):
 def left_behind_by_deletion(landmarks, P, keep):
     gone = [3 * i + j for i in np.flatnonzero(~keep) for j in range(3)]
     return np.delete(landmarks, np.flatnonzero(~keep), axis=0), np.delete(np.delete(P, gone, 0), gone, 1)
+
+
+@answer("patch_information")
+def information_pixel_by_pixel(g_u, g_v):
+    A = sum(np.outer(g, g) for g in zip(g_u.ravel(), g_v.ravel()))
+    return A, A.trace() / 2 - np.sqrt((A.trace() / 2)**2 - np.linalg.det(A))
+
+
+@answer("patch_information")
+def information_by_one_product(g_u, g_v):
+    g = np.array([g_u.ravel(), g_v.ravel()])
+    return g @ g.T, min(np.linalg.eigvals(g @ g.T))
+
+
+@answer("lucas_kanade_step")
+def step_by_least_squares(template, seen, g_u, g_v):
+    return np.linalg.lstsq(np.column_stack([g_u.ravel(), g_v.ravel()]), (template - seen).ravel())[0]
+
+
+@answer("lucas_kanade_step")
+def step_by_sums(template, seen, g_u, g_v):
+    a, b, d, r = np.sum(g_u**2), np.sum(g_u * g_v), np.sum(g_v**2), template - seen
+    p, q = np.sum(g_u * r), np.sum(g_v * r)
+    return np.array([d * p - b * q, a * q - b * p]) / (a * d - b * b)
+
+
+@answer("row_check")
+def rows_one_by_one(pixels, tolerance):
+    return np.array([abs(b - d) <= tolerance and a - c > 0 for a, b, c, d in pixels])
+
+
+@answer("row_check")
+def rows_by_columns(pixels, tolerance):
+    ul, vl, ur, vr = pixels.T
+    return np.logical_and.reduce([vl - vr <= tolerance, vr - vl <= tolerance, ul > ur])
+
+
+@answer("rectify_point")
+def rectified_by_a_homography(uv, K, rectified_R_cam, K_new):
+    x, y, z = K_new @ rectified_R_cam @ np.linalg.inv(K) @ [*uv, 1]
+    return np.array([x / z, y / z])
+
+
+@answer("rectify_point")
+def rectified_by_a_ray(uv, K, rectified_R_cam, K_new):
+    ray = rectified_R_cam @ [(uv[0] - K[0, 2]) / K[0, 0], (uv[1] - K[1, 2]) / K[1, 1], 1.0]
+    return K_new[:2, :2] @ (ray[:2] / ray[2]) + K_new[:2, 2]
+
+
+# --- chapter 16 -------------------------------------------------------------------------------------------
+
+@answer("velocity_rows")
+def _(rotation, force, tau):
+    return np.hstack([-tau * rotation @ skew(force), np.zeros((3, 3)), I3, np.zeros((3, 3)), -tau * rotation])
+
+
+@answer("velocity_rows")
+def _(rotation, force, tau):
+    F = np.zeros((3, 15))
+    for i in range(3):
+        F[:, i] = tau * rotation @ np.cross(I3[i], force)
+        F[i, 6 + i] = 1
+        F[:, 12 + i] = -tau * rotation[:, i]
+    return F
+
+
+@answer("rotation_bias_jacobian")
+def _(omega, taus):
+    def total(delta):
+        R = Rotation.identity()
+        for w, tau in zip(omega, taus):
+            R = R * Rotation.from_rotvec(tau * (w - delta))
+        return R
+    h = 1e-3
+    columns = []
+    for e in I3:
+        turn = [(total(np.zeros(3)).inv() * total(k * h * e)).as_rotvec() for k in (-2, -1, 1, 2)]
+        columns.append((turn[0] - 8 * turn[1] + 8 * turn[2] - turn[3]) / (12 * h))
+    return np.transpose(columns)
+
+
+@answer("rotation_bias_jacobian")
+def _(omega, taus):
+    J = np.zeros((3, 3))
+    for k in range(len(omega)):
+        later = I3
+        for w, tau in zip(omega[k + 1:], taus[k + 1:]):
+            later = later @ linalg.expm(skew(tau * w))
+        phi = skew(taus[k] * omega[k])
+        J_r = sum(np.linalg.matrix_power(-phi, n) / math.factorial(n + 1) for n in range(20))
+        J -= later.T @ J_r * taus[k]
+    return J
+
+
+@answer("project_track")
+def _(H_x, H_f, residual):
+    N = linalg.null_space(H_f.T)
+    return (N.T @ H_x).T @ (N.T @ H_x), (N.T @ H_x).T @ (N.T @ residual)
+
+
+@answer("project_track")
+def _(H_x, H_f, residual):
+    W = H_x.T @ H_f
+    V = np.linalg.inv(H_f.T @ H_f)
+    return H_x.T @ H_x - W @ V @ W.T, H_x.T @ residual - W @ V @ H_f.T @ residual
+
+
+@answer("first_estimates_jacobian")
+def _(J, first_pose, first_landmark, pose, landmark):
+    R, p = first_pose[:3, :3], first_pose[:3, 3]
+    return np.c_[J @ R.T, -J, J @ skew(R.T @ (first_landmark - p))]
+
+
+@answer("first_estimates_jacobian")
+def _(J, first_pose, first_landmark, pose, landmark):
+    s = (np.linalg.inv(first_pose) @ np.append(first_landmark, 1))[:3]
+    by_rotation = np.column_stack([J @ np.cross(s, e) for e in I3])
+    return np.concatenate([J @ first_pose[:3, :3].T, -J, by_rotation], axis=1)
+
+
+@answer("datasheet")
+def _(angle_random_walk, velocity_random_walk, rate):
+    hour = 3600
+    return math.radians(angle_random_walk) * math.sqrt(rate / hour), velocity_random_walk * math.sqrt(rate / hour)
+
+
+@answer("datasheet")
+def _(angle_random_walk, velocity_random_walk, rate):
+    angle_variance = (angle_random_walk * np.pi / 180)**2 / 3600
+    return (angle_variance * rate)**0.5, (velocity_random_walk**2 / 3600 * rate)**0.5

@@ -1,4 +1,4 @@
-"""Visual-inertial SLAM with an extended Kalman filter, written to be read.
+"""Visual-inertial SLAM with an extended Kalman filter, written to be read. `vislam_edu.course` stands on it.
 
 Conventions, the same in every file and every notebook:
 
@@ -21,6 +21,7 @@ Noise                   W, V and Sigma_0
 StereoCamera            projection, triangulation, Jacobians
 RightPerturbation       the report's error of a pose and a map
 RightInvariant          the error that cannot observe what no sensor measures
+InverseDepth            the same, with landmarks whose error is Gaussian at any distance
 se3                     SO(3) and SE(3): exp, log, adjoint, Jacobians
 stereo                  the camera model
 noise                   standard deviations and covariances of the sensors
@@ -30,6 +31,7 @@ kalman                  the Gaussian algebra of a Kalman filter
 odometry                the pose: from the IMU alone, and on a known map
 mapping                 the map on known poses
 ekf_slam                the joint filter, plain
+inverse_depth           the joint filter with landmarks of inverse depth, plain
 metrics                 ATE, KITTI drift, NIS, NEES
 error_state             what an error is
 motion                  the joint belief, and how it moves
@@ -39,14 +41,16 @@ smoother                the final estimate of every landmark
 normal_equations        least squares by blocks: what `batch` solves
 batch                   the whole drive at once: least squares over poses and landmarks
 association             which landmarks are the same place, and closing the loop
+imu                     a real IMU: gravity, biases, preintegration
+inertial                the joint filter with a real IMU
+lens                    distorted cameras, and the rectified pair
+tracking                from images to tracks
 recordings              room: files
 simulate                room: drives with ground truth
 plots                   room: still pictures
 audit                   room: a recording's sensors compared with each other
 studies                 room: filters over whole drives
 widgets                 room: explorer and panels
-
-The course on top of these, `vislam_edu.course`, is imported by the notebooks alone.
 
 A name is loaded when it is first used, so importing the package costs nothing and changes nothing.
 """
@@ -63,7 +67,11 @@ if TYPE_CHECKING:
         drive,
         ekf_slam,
         error_state,
+        imu,
+        inertial,
+        inverse_depth,
         kalman,
+        lens,
         mapping,
         metrics,
         motion,
@@ -78,25 +86,27 @@ if TYPE_CHECKING:
         smoother,
         stereo,
         studies,
+        tracking,
         widgets,
         window_slam,
     )
     from .drive import Drive
-    from .error_state import RightInvariant, RightPerturbation
+    from .error_state import InverseDepth, RightInvariant, RightPerturbation
     from .noise import Noise
     from .recordings import load
     from .stereo import StereoCamera
 
 __version__ = "0.2.0"
 __all__ = [
-    "Drive", "Noise", "RightInvariant", "RightPerturbation", "StereoCamera", "association", "audit", "batch", "belief",
-    "drive", "ekf_slam", "error_state", "kalman", "load", "mapping", "metrics", "motion",
-    "noise", "normal_equations", "odometry", "plots", "recordings", "robust", "se3", "simulate", "smoother", "stereo",
-    "studies", "widgets", "window_slam",
+    "Drive", "InverseDepth", "Noise", "RightInvariant", "RightPerturbation", "StereoCamera", "association", "audit",
+    "batch", "belief", "drive", "ekf_slam", "error_state", "imu", "inertial", "inverse_depth", "kalman", "lens",
+    "load", "mapping", "metrics", "motion", "noise", "normal_equations", "odometry", "plots", "recordings",
+    "robust", "se3", "simulate",
+    "smoother", "stereo", "studies", "tracking", "widgets", "window_slam",
 ]
 
 _DEFINED_IN = {"load": "recordings", "Drive": "drive", "Noise": "noise", "StereoCamera": "stereo",
-               "RightPerturbation": "error_state", "RightInvariant": "error_state"}
+               "RightPerturbation": "error_state", "RightInvariant": "error_state", "InverseDepth": "error_state"}
 
 
 def __getattr__(name: str) -> Any:

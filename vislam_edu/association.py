@@ -35,8 +35,9 @@ Pairs = list[tuple[int, int]]  # (new, old): ids, or places in `Candidates`
 def in_the_world(belief: Belief, rows: np.ndarray, error_state: ErrorState) -> np.ndarray:
     """A (3n, d) with m - m_hat = A (error of the state) for the n landmarks at `rows`, metres in the world."""
     A = np.zeros((len(rows), 3, len(belief.covariance)))
-    A[np.arange(len(rows))[:, None], np.arange(3), 3 * rows[:, None] + np.arange(3)] = 1
-    A[:, :, belief.pose] = error_state.world_landmark(belief.landmarks[rows])
+    D = error_state.metres(belief.points[rows])
+    A[np.arange(len(rows))[:, None], :, 3 * rows[:, None] + np.arange(3)] = D.mT
+    A[:, :, belief.pose] = D @ error_state.world_landmark(belief.points[rows])
     return A.reshape(3 * len(rows), -1)
 
 

@@ -2,7 +2,8 @@
 
 Every function gives what the plain equation beside it gives; only zeros are left out. H_landmark (m, 3, 3) and H_pose
 (m, 3, 6) are the blocks of H of m measurements of the landmarks at `rows` (m,) of n in the state, whose covariance P
-(d, d) is ordered [landmarks 3n, pose 6, motion]. A measurement is three numbers [u_left, v, u_right], `stereo.reduce`.
+(d, d) is ordered [landmarks 3n, pose 6, motion]. A measurement is three numbers [u_left, v, u_right], see
+`stereo.reduce_rows`.
 
 >>> import numpy as np
 >>> P, H_landmark, H_pose = np.eye(9), np.ones((1, 3, 3)), np.ones((1, 3, 6))

@@ -1,7 +1,7 @@
 """`Drive`: one recording of a vehicle with an IMU and a stereo camera.
 
 A drive holds what was measured (body twists and the pixels of tracked landmarks), the calibration, and the
-truth where there is one. It is not a filter's state and knows nothing about estimation. `recordings.py` reads
+truth where there is one. It is not a filter's state and knows nothing about estimation. `recordings` reads
 and writes it.
 
 A landmark is in view in a dozen of a thousand frames, so the dense (4, M, T) array of the course's files is
@@ -18,7 +18,7 @@ from __future__ import annotations
 import dataclasses
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -28,6 +28,9 @@ from .stereo import StereoCamera
 
 class DriveError(ValueError):
     """A recording that cannot be used; the message names the field, where in it, and what is wrong."""
+
+if TYPE_CHECKING:
+    from .inertial import ImuSamples
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,7 +47,9 @@ class Drive:
     imu_sample      which sample drives the step from k to k+1: "k", "k+1" or "mean" of both
     truth_world_T_cam   (T, 4, 4) left camera poses in any world frame, NaN where there is none; or None
     truth_landmarks     (M, 3) m in that same world frame, NaN where there is none; or None
+    left_T_cam      (4, 4) rectified left camera in the frame of the left camera as it was mounted, or None: the same
     history         what has been done to the recording, oldest first
+    imu             samples of an accelerometer and a gyro at their own rate, in the same clock; or None
 
     A track has no gaps: once a landmark is out of view it never returns.
     Raises DriveError (a ValueError) when a field breaks any of this.
@@ -62,10 +67,12 @@ class Drive:
     imu_sample: str = "k"
     truth_world_T_cam: np.ndarray | None = None
     truth_landmarks: np.ndarray | None = None
+    left_T_cam: np.ndarray | None = None
     history: tuple[str, ...] = ()
+    imu: ImuSamples | None = None
 
     def __post_init__(self) -> None:
-        for field in ("times", "twists", "pixels", "truth_world_T_cam", "truth_landmarks"):
+        for field in ("times", "twists", "pixels", "truth_world_T_cam", "truth_landmarks", "left_T_cam"):
             self._freeze(field, float)
         for field in ("frame_start", "landmark"):
             self._freeze(field, int)
@@ -78,7 +85,7 @@ class Drive:
 
     def _freeze(self, field: str, dtype: type) -> None:
         value = getattr(self, field)
-        if value is None and field.startswith("truth"):
+        if value is None and field.startswith(("truth", "left")):
             return
         try:
             if dtype is int and not (np.less(np.abs(np.asarray(value, float)), 2.0**53).all()
@@ -329,7 +336,7 @@ def _check_truth(drive: Drive) -> None:
             raise DriveError(f"truth_world_T_cam: frame {broken[0]} is neither a pose nor all NaN")
         R = poses[known, :3, :3]
         rigid = (np.abs(R @ R.mT - np.eye(3)).max(axis=(1, 2)) < 1e-6) & (np.linalg.det(R) > 0)
-        rigid &= (poses[known, 3] == [0, 0, 0, 1]).all(axis=1)
+        rigid &= (np.abs(poses[known, 3] - [0, 0, 0, 1]) < 1e-9).all(axis=1)
         if not rigid.all():
             bad = np.flatnonzero(known)[~rigid][0]
             raise DriveError(f"truth_world_T_cam: frame {bad} is not a rigid motion")

@@ -169,6 +169,7 @@ def nees(error: np.ndarray, covariance: np.ndarray) -> np.ndarray:
     Source: Bar-Shalom, Li, Kirubarajan, Estimation with Applications to Tracking and Navigation, section
     5.4.2.
     """
+    covariance = (covariance + np.swapaxes(covariance, -1, -2)) / 2  # a Cholesky factorisation reads one triangle only
     whitened = np.linalg.solve(np.linalg.cholesky(covariance), np.asarray(error)[..., None])[..., 0]
     return np.sum(whitened**2, axis=-1)
 
@@ -220,9 +221,13 @@ def average_nis(steps: Iterable[Step]) -> float:
     mean is right all the same.
     Source: Bar-Shalom et al., section 5.4.2.
     """
-    values = np.concatenate([np.empty(0), *(step.innovation.nis for step in steps)])
-    values = values[np.isfinite(values)]
-    return float(values.mean()) if values.size else np.nan
+    return mean_nis(np.concatenate([np.empty(0), *(step.innovation.nis for step in steps)]))
+
+
+def mean_nis(nis: np.ndarray) -> float:
+    """Mean of those NIS (N,) that are finite, see `average_nis`; NaN when there is none."""
+    finite = nis[np.isfinite(nis)]
+    return float(finite.mean()) if finite.size else np.nan
 
 
 def chi2_band(dof: float, runs: int = 1, probability: float = 0.99) -> tuple[float, float]:

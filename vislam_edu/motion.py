@@ -18,17 +18,21 @@ from .error_state import ErrorState
 from .noise import Noise
 
 
-def start(noise: Noise, world_T_imu: np.ndarray | None = None) -> Belief:
-    """The joint belief at frame 0: no landmark, and the world frame is the IMU frame unless a pose is given."""
+def start(noise: Noise, world_T_imu: np.ndarray | None = None, point_shape: tuple[int, ...] = (3,)) -> Belief:
+    """The joint belief at frame 0: no landmark, and the world frame is the IMU frame unless a pose is given.
+
+    point_shape : of one landmark, `ErrorState.point_shape`.
+    """
     T = np.eye(4) if world_T_imu is None else np.array(world_T_imu, dtype=float)
-    return Belief(T, np.empty((0, 3)), np.empty(0, dtype=int), np.array(noise.initial_pose_covariance))
+    return Belief(T, np.empty((0, *point_shape)), np.empty(0, dtype=int), np.array(noise.initial_pose_covariance))
 
 
 def retract(belief: Belief, delta: np.ndarray, covariance: np.ndarray, error_state: ErrorState) -> Belief:
     """The belief moved by an estimated error delta (3n+6+t,), with its new covariance."""
     end = belief.pose.stop
-    T, landmarks = error_state.retract(belief.world_T_imu, belief.landmarks, delta[:end])
-    return Belief(T, landmarks, belief.ids, covariance, belief.motion + delta[end:])
+    T, points = error_state.retract(belief.world_T_imu, belief.points, delta[:end])
+    values = error_state.retract_motion(belief.world_T_imu, belief.motion, delta[end - 6:])
+    return Belief(T, points, belief.ids, covariance, values)
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +67,7 @@ def propagate(belief: Belief, transition: Transition) -> Belief:
     the cross-covariance is carried along on one side, the pose block on both.
     Source: report section 3.3.2, step 2, in its corrected form.
     """
-    n = 3 * len(belief.landmarks)
+    n = 3 * len(belief.ids)
     P = belief.covariance.copy()
     cross, tail = P[:n, n:], P[n:, n:].copy()
     if transition.F_landmarks.any():
@@ -80,11 +84,13 @@ def propagate(belief: Belief, transition: Transition) -> Belief:
         P += symmetric(N @ transition.Q @ N.T)
     else:
         P[n:, n:] += symmetric(N @ transition.Q @ N.T)
-    return Belief(transition.world_T_imu, belief.landmarks, belief.ids, P, transition.motion)
+    return Belief(transition.world_T_imu, belief.points, belief.ids, P, transition.motion)
 
 
 class MotionModel(ABC):
-    """Interface of what moves the car; made of a Drive, a Noise and an `ErrorState`."""
+    """Interface of what moves the car; made of a Drive, a Noise and an `ErrorState`, which it may extend."""
+
+    error_state: ErrorState
 
     @abstractmethod
     def __init__(self, drive: Drive, noise: Noise, error_state: ErrorState) -> None: ...
@@ -115,15 +121,15 @@ class ImuDriven(MotionModel):
 
     def start(self, world_T_imu: np.ndarray | None = None) -> Belief:
         """The belief at frame 0: the pose alone."""
-        return start(self.noise, world_T_imu)
+        return start(self.noise, world_T_imu, self.error_state.point_shape)
 
     def transition(self, belief: Belief, k: int) -> Transition:
         """From frame k to frame k + 1."""
         after = belief.world_T_imu @ self.increments[k]
         F, B = self.error_state.pose_transition(after, self.increments[k], self.body_noise[k])
-        n = len(belief.landmarks)
+        n = len(belief.ids)
         return Transition(after, belief.motion, F, np.zeros((n, 3, 6)), B,
-                          self.error_state.landmark_transition(belief.landmarks, B), self.Q)
+                          self.error_state.landmark_transition(belief.points, B), self.Q)
 
     def predict(self, belief: Belief, k: int) -> Belief:
         """The belief at frame k + 1 before the camera update."""
@@ -153,10 +159,10 @@ class TwistAndBias(MotionModel):
 
     def start(self, world_T_imu: np.ndarray | None = None) -> Belief:
         """The belief at frame 0: the pose, and a twist of which nothing is known yet."""
-        pose = start(self.noise, world_T_imu)
+        pose = start(self.noise, world_T_imu, self.error_state.point_shape)
         P = np.zeros((15, 15))
         P[:6, :6], P[6:, 6:] = pose.covariance, np.diag(self.start_sigma**2)
-        return Belief(pose.world_T_imu, pose.landmarks, pose.ids, P, np.zeros(9))
+        return Belief(pose.world_T_imu, pose.points, pose.ids, P, np.zeros(9))
 
     def measure_imu(self, belief: Belief, k: int) -> Belief:
         """The belief after the twist has walked one frame and the IMU sample of step k -> k + 1 has been read."""
@@ -175,7 +181,7 @@ class TwistAndBias(MotionModel):
         F, B = self.error_state.pose_transition(after, increment, tau * se3.right_jacobian(tau * twist))
         F_tail = np.eye(15)
         F_tail[:6, :6], F_tail[:6, 6:12] = F, B
-        moved = np.pad(self.error_state.landmark_transition(belief.landmarks, B), ((0, 0), (0, 0), (6, 3)))
+        moved = np.pad(self.error_state.landmark_transition(belief.points, B), ((0, 0), (0, 0), (6, 3)))
         return Transition(after, belief.motion, F_tail, moved, np.zeros((15, 0)), np.zeros((len(moved), 3, 0)),
                           np.zeros((0, 0)))
 

@@ -48,7 +48,7 @@ class Noise:
         P = np.array(self.initial_pose_covariance, dtype=float)
         if P.shape != (6, 6):
             raise ValueError(f"Noise.initial_pose_covariance must have shape (6, 6), got {P.shape}")
-        if not np.isfinite(P).all() or not np.allclose(P, P.T) or np.linalg.eigvalsh(P).min() < -1e-12:
+        if not np.isfinite(P).all() or not np.allclose(P, P.T) or np.linalg.eigvalsh(P)[0] < -1e-12 * np.abs(P).max():
             raise ValueError("Noise.initial_pose_covariance must be symmetric positive semi-definite")
         P.flags.writeable = False
         object.__setattr__(self, "initial_pose_covariance", P)

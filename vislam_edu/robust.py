@@ -91,21 +91,20 @@ class RealDrive(motion.TwistAndBias):
         self.camera = drive.camera
 
     def slip_px(self, depth_before: np.ndarray, depth_now: np.ndarray) -> np.ndarray:
-        """(n,) px, standard deviation of the slip between two frames; depths (n,), m, positive.
+        """(n,) px, standard deviation of the slip between two frames; depths (n,), in one unit, positive.
 
         An image grows by the ratio of its depths.
         """
         return np.sqrt(self.slip_floor**2 + self.slip_of_zoom**2 * np.abs(np.log(depth_before / depth_now)))
 
     def predict(self, belief: Belief, k: int) -> Belief:
-        """The belief at frame k + 1 before the camera update: P_mm += q^2 R (J^T V_1^-1 J)^-1 R^T, q the slip."""
+        """The belief at frame k + 1 before the camera update: P_mm += q^2 H^-1 V_1 H^-T, q the slip."""
         predicted = super().predict(belief, k)
-        before = self.camera.to_cam(belief.world_T_imu, belief.landmarks)
-        now = self.camera.to_cam(predicted.world_T_imu, predicted.landmarks)
-        rows = np.flatnonzero(self.camera.project(before)[1] & self.camera.project(now)[1])
+        before, *_ = self.error_state.measure(self.camera, belief.world_T_imu, belief.points)
+        now, H, _ = self.error_state.measure(self.camera, predicted.world_T_imu, predicted.points)
+        rows = np.flatnonzero(self.camera.project_homogeneous(before)[1] & self.camera.project_homogeneous(now)[1])
         slip = self.slip_px(before[rows, 2], now[rows, 2])
-        R = predicted.world_T_imu[:3, :3] @ self.camera.imu_T_cam[:3, :3]
-        walk = slip[:, None, None] ** 2 * (R @ self.camera.triangulation_covariance(now[rows], 1.0) @ R.T)
+        spread = np.linalg.inv(H[rows]) * np.sqrt(stereo.ROW_VARIANCE) * slip[:, None, None]
         P, n = predicted.covariance.copy(), len(predicted.ids)
-        P[:3 * n, :3 * n].reshape(n, 3, n, 3)[rows, :, rows, :] += (walk + walk.mT) / 2
+        P[:3 * n, :3 * n].reshape(n, 3, n, 3)[rows, :, rows, :] += spread @ spread.mT
         return replace(predicted, covariance=P)

@@ -24,6 +24,7 @@ np.int64(42)
 """
 
 from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
 from functools import partial
 from itertools import islice
 from math import isqrt
@@ -33,7 +34,7 @@ import numpy as np
 from scipy.linalg import cholesky, solve_triangular
 from threadpoolctl import threadpool_limits
 
-from . import blockwise, motion, se3, stereo, window_slam
+from . import blockwise, motion, robust, stereo, window_slam
 from .belief import Belief, Step
 from .drive import Drive
 from .error_state import ErrorState, RightPerturbation
@@ -88,8 +89,7 @@ def _undo_birth(lam: np.ndarray, Lam: np.ndarray, step: Step, settings: UpdateSe
         return lam, Lam
     new = _indices(np.flatnonzero(is_new))
     old = np.setdiff1d(np.arange(len(lam)), new)
-    points = se3.transform(se3.inverse(belief.world_T_imu), belief.landmarks[is_new])
-    G, _ = settings.error_state.birth(belief.world_T_imu, points)
+    G = settings.error_state.inherited(belief.world_T_imu, belief.points[is_new])
     A = np.zeros((len(new), len(old)))
     A[:, -6:] = G.reshape(-1, 6)
     cross = Lam[np.ix_(old, new)] @ A
@@ -139,8 +139,8 @@ def _settle(final: MapBelief, before: Belief, keep: np.ndarray, lam: np.ndarray,
     P = before.covariance
     to_all = P[_indices(rows)]  # (3r, d), covariance of each retired landmark with everything
     own = P[np.ix_(_indices(rows), _indices(rows))]
-    C = error_state.world_landmark(before.landmarks[rows])
-    if C.any():  # the error in metres is the landmark's plus C times the pose's
+    C = error_state.world_landmark(before.points[rows])
+    if C.any():  # the error of what stands still is the landmark's plus C times the pose's
         C = C.reshape(-1, 6)
         cross = to_all[:, before.pose] @ C.T
         own = own + cross + cross.T + C @ before.pose_covariance @ C.T
@@ -148,8 +148,10 @@ def _settle(final: MapBelief, before: Belief, keep: np.ndarray, lam: np.ndarray,
     future = to_all[:, kept]
     r, retired = len(rows), before.ids[rows]
     each = np.arange(r)
-    final.landmarks[retired] = before.landmarks[rows] + (future @ lam).reshape(r, 3)
-    final.covariance[retired] = (own - future @ Lam @ future.T).reshape(r, 3, r, 3)[each, :, each, :]
+    moved = error_state.shifted(before.points[rows], (future @ lam).reshape(r, 3))
+    D = error_state.metres(moved)
+    final.landmarks[retired] = replace(before, points=moved).landmarks
+    final.covariance[retired] = D @ (own - future @ Lam @ future.T).reshape(r, 3, r, 3)[each, :, each, :] @ D.mT
     final.seen[retired] = True
 
 
@@ -173,14 +175,19 @@ def final_map(drive: Drive, noise: Noise, error_state: ErrorState | None = None,
     Returns a `MapBelief`; rows of landmarks that were never born are zero, and not `seen`.
     drive, noise, error_state, options : as for `window_slam.run`, with its `ImuDriven` motion model.
     progress : called as `progress(frames, total=T)` on the backward walk, for instance `tqdm.auto.tqdm`.
-    Raises ValueError for another motion model or for a run that retires nothing.
+    Raises ValueError for another motion model, for a run that retires nothing, or for robust weights.
 
     For `RightPerturbation` the result is that filter's, to rounding. For `RightInvariant` it is to first order: there
-    a correction turns all landmarks about the origin, which is not a sum.
+    a correction turns all landmarks about the origin, which is not a sum. For `InverseDepth` as well: a landmark is
+    corrected in the chart that it had when it retired, which stands still, while the filter that keeps it goes on
+    turning its chart. On simulated streets the two differ by 0.07 sigma (median) and up to 1.3 sigma, neither nearer to
+    the truth (NEES of a landmark 3.43 and 3.49, 3 is right).
     """
     for name in ("motion_model", "retire"):
         if name in options:
             raise ValueError(f"final_map walks back through the plain window filter, so it takes no {name}")
+    if options.get("process_frame") is robust.process_frame:
+        raise ValueError("final_map walks back through updates of full weight, so it takes no robust.process_frame")
     error_state = error_state or RightPerturbation()
     model = motion.ImuDriven(drive, noise, error_state)
     settings = window_slam.UpdateSettings(drive.camera, noise, error_state, np.inf, 0.0)

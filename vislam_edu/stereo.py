@@ -190,6 +190,17 @@ class StereoCamera:
         rows = [[fu, 0, cu, 0], [0, fv, cv, 0], [fu, 0, cu, -fu * self.baseline], [0, fv, cv, 0]]
         return _read_only(rows, "K_s")
 
+    @cached_property
+    def inverse_depth_of_pixels(self) -> tuple[np.ndarray, np.ndarray]:
+        """A (3, 4) and offset (3,), read-only: (a, b, rho) = A pixels + offset, the point is (a, b, 1) / rho.
+
+        a = (u_left - c_u) / f_u, b = (v - c_v) / f_v with the mean v of both rows, rho = (u_left - u_right) / (f_u b).
+        """
+        (fu, _, cu), (_, fv, cv), _ = self.K
+        per_disparity = 1 / (fu * self.baseline)
+        A = [[1 / fu, 0, 0, 0], [0, 0.5 / fv, 0, 0.5 / fv], [per_disparity, 0, -per_disparity, 0]]
+        return _read_only(A, "A"), _read_only([-cu / fu, -cv / fv, 0], "offset")
+
     # Frames
 
     def to_cam(self, world_T_imu: np.ndarray, landmarks: np.ndarray) -> np.ndarray:
@@ -211,6 +222,15 @@ class StereoCamera:
         """
         q, in_front = _homogeneous(points_cam)
         return np.matvec(self.K_s, pi(q)), in_front
+
+    def project_homogeneous(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """As `project`, of points (..., 4) [x, y, z, rho] at [x, y, z] / rho, 1/m; rho may be zero or negative."""
+        q, in_front = _seen(checked(q, (4,), "q"))
+        return np.matvec(self.K_s, pi(q)), in_front
+
+    def homogeneous_jacobian(self, q: np.ndarray) -> np.ndarray:
+        """Derivative (..., 4, 4) of the pixels by q (..., 4) of `project_homogeneous`: `K_s dpi/dq`."""
+        return self.K_s @ dpi_dq(_seen(q)[0])
 
     def projection_jacobian(self, points_cam: np.ndarray) -> np.ndarray:
         """Derivative of the pixels by the homogeneous point, `K_s dpi/dq`.
@@ -294,10 +314,13 @@ class StereoCamera:
 def _homogeneous(points: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
     """Homogeneous coordinates (..., 4) of points (..., 3), placeholders where not in front, and the mask."""
     points = checked(points, (3,), "points")
-    in_front = np.isfinite(points).all(axis=-1) & (points[..., 2] > _MIN_DEPTH)
-    q = np.ones(points.shape[:-1] + (4,))
-    q[..., :3] = np.where(in_front[..., None], points, PLACEHOLDER)
-    return q, in_front
+    return _seen(np.concatenate([points, np.ones(points.shape[:-1] + (1,))], axis=-1))
+
+
+def _seen(q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Homogeneous points (..., 4) with placeholders where not in front, and the mask (...)."""
+    in_front = np.isfinite(q).all(axis=-1) & (q[..., 2] > _MIN_DEPTH * np.maximum(q[..., 3], _MIN_DEPTH))
+    return np.where(in_front[..., None], q, np.append(PLACEHOLDER, 1.0)), in_front
 
 
 def _finite(values) -> tuple[np.ndarray, np.ndarray]:

@@ -78,21 +78,19 @@ class Linearised:
 
 
 def linearise(belief: Belief, ids: np.ndarray, settings: UpdateSettings) -> tuple[Linearised, np.ndarray]:
-    """H of the landmarks `ids` (m,), all in the window, and where they are, (m, 3), m, in the camera frame."""
+    """H of the landmarks `ids` (m,), all in the window, and where they are: (m, 4), homogeneous, camera frame."""
     rows = np.searchsorted(belief.ids, ids)
-    landmarks = belief.landmarks[rows]
-    points = settings.camera.to_cam(belief.world_T_imu, landmarks)
-    J = settings.camera.measurement_jacobian(points)[:, stereo.ROWS]
-    return Linearised(rows, *settings.error_state.jacobians(belief.world_T_imu, landmarks, J)), points
+    q, *H = settings.error_state.measure(settings.camera, belief.world_T_imu, belief.points[rows])
+    return Linearised(rows, *H), q
 
 
 def compute_innovation(prior: Belief, ids: np.ndarray, pixels: np.ndarray,
                        settings: UpdateSettings) -> tuple[Innovation, Linearised]:
     """The landmarks `ids` (m,), all in the window, against their predictions, gated one by one. pixels : (m, 4)."""
-    H, points = linearise(prior, ids, settings)
+    H, q = linearise(prior, ids, settings)
     explained = blockwise.diagonal_blocks(prior.covariance, *H.blocks(len(prior.ids)))
-    predicted, in_front = settings.camera.project(points)
-    predicted = predicted + stereo.second_order(predicted, explained)
+    predicted, in_front = settings.camera.project_homogeneous(q)
+    predicted = predicted + settings.error_state.mean_shift(predicted, explained)
     S = explained[:, stereo.FOUR_FROM_THREE][:, :, stereo.FOUR_FROM_THREE] + settings.noise.pixel_covariance
     nis = np.where(in_front, kalman.nis(pixels - predicted, S), np.inf)
     return Innovation(ids, pixels, predicted, S, nis, in_front & (nis <= settings.threshold)), H
@@ -129,11 +127,11 @@ def marginalise(belief: Belief, keep: np.ndarray) -> Belief:
         return belief
     rest = np.ones(len(belief.covariance) - 3 * len(keep), dtype=bool)
     index = np.flatnonzero(np.concatenate([np.repeat(keep, 3), rest]))
-    return Belief(belief.world_T_imu, belief.landmarks[keep], belief.ids[keep],
+    return Belief(belief.world_T_imu, belief.points[keep], belief.ids[keep],
                   belief.covariance.take(index, axis=0).take(index, axis=1), belief.motion)
 
 
-def _insert(belief: Belief, ids: np.ndarray, landmarks: np.ndarray, cross: np.ndarray, own: np.ndarray) -> Belief:
+def _insert(belief: Belief, ids: np.ndarray, points: np.ndarray, cross: np.ndarray, own: np.ndarray) -> Belief:
     """New landmarks at their places in the order of ids. cross : (3m, d), own : (3m, 3m) covariance."""
     n, m, d = len(belief.ids), len(ids), len(belief.covariance)
     P = np.empty((d + 3 * m, d + 3 * m))
@@ -142,42 +140,40 @@ def _insert(belief: Belief, ids: np.ndarray, landmarks: np.ndarray, cross: np.nd
     order = np.argsort(all_ids)
     first = np.where(order < n, 3 * order, d + 3 * (order - n))  # where each landmark's rows stand in P
     index = np.concatenate([(first[:, None] + np.arange(3)).ravel(), np.arange(3 * n, d)])
-    return Belief(belief.world_T_imu, np.concatenate([belief.landmarks, landmarks])[order], all_ids[order],
+    return Belief(belief.world_T_imu, np.concatenate([belief.points, points])[order], all_ids[order],
                   P.take(index, axis=0).take(index, axis=1), belief.motion)
 
 
 def add_correlated(belief: Belief, ids: np.ndarray, pixels: np.ndarray, settings: UpdateSettings) -> Belief:
     """New landmarks, each as uncertain as its triangulation and correlated with the pose it was seen from.
 
-    Sigma_mm = G Sigma_TT G^T + A C A^T,  Sigma_m. = G Sigma_T.   (C: triangulation covariance in the IMU frame)
+    Sigma_mm = G Sigma_TT G^T + C,  Sigma_m. = G Sigma_T.   (C: covariance of the triangulation)
 
     Source: Solà, Simultaneous localization and mapping with the extended Kalman filter, 2014, on landmark
     initialisation with a sensor that sees all three coordinates.
     """
-    camera = settings.camera
-    points_cam, ok = camera.triangulate(pixels, settings.min_disparity)
-    ids, points_cam = ids[ok], points_cam[ok]
+    error_state, T = settings.error_state, belief.world_T_imu
+    points, C, ok = error_state.triangulate(settings.camera, T, pixels, settings.noise.sigma_px, settings.min_disparity)
+    ids, points = ids[ok], points[ok]
     if len(ids) == 0:
         return belief
-    imu_R_cam = camera.imu_T_cam[:3, :3]
-    C = imu_R_cam @ camera.triangulation_covariance(points_cam, settings.noise.sigma_px) @ imu_R_cam.T
-    points = points_cam @ imu_R_cam.T + camera.imu_T_cam[:3, 3]
-    G, A = settings.error_state.birth(belief.world_T_imu, points)
-    G = G.reshape(-1, 6)
+    G = error_state.inherited(T, points).reshape(-1, 6)
     own = motion.symmetric(G @ belief.pose_covariance @ G.T)
     blocks, each = own.reshape(len(ids), 3, len(ids), 3), np.arange(len(ids))
-    C = A @ C @ A.T
-    blocks[each, :, each, :] += (C + C.swapaxes(1, 2)) / 2
-    landmarks = points @ belief.world_T_imu[:3, :3].T + belief.world_T_imu[:3, 3]
-    return _insert(belief, ids, landmarks, G @ belief.covariance[belief.pose], own)
+    blocks[each, :, each, :] += C[ok]
+    return _insert(belief, ids, points, G @ belief.covariance[belief.pose], own)
 
 
 def add_as_report(belief: Belief, ids: np.ndarray, pixels: np.ndarray, settings: UpdateSettings) -> Belief:
     """New landmarks the report's way: triangulated mean, variance 2 per axis, no correlation with anything.
 
     That counts the pose as known at the moment a landmark is born.
+    Raises ValueError for an error state whose landmarks are not `WorldPoints`.
     Source: report section 3.3.3.
     """
+    if belief.points.ndim != 2:
+        raise ValueError("the report's initialisation gives a landmark a variance per axis of the world; "
+                         f"landmarks of the error state '{settings.error_state.name}' have none")
     points, ok = settings.camera.triangulate(pixels, settings.min_disparity)
     ids = ids[ok]
     landmarks = settings.camera.to_world(belief.world_T_imu, points[ok])
@@ -236,11 +232,12 @@ def run(drive: Drive, noise: Noise, error_state: ErrorState | None = None, *,
         world_T_imu: np.ndarray | None = None, after: Step | None = None) -> Iterator[Step]:
     """The joint filter over a drive: yields one `Step` per frame, its beliefs `Belief`s.
 
-    error_state : `RightPerturbation()` (the report's, the default) or another.
+    error_state : `RightPerturbation()` (the report's, the default), `RightInvariant()` or `InverseDepth()`.
     motion_model : `motion.ImuDriven` (the report's) or `motion.TwistAndBias`. process_frame : what a frame does,
     `correlated` or `as_report`. retire : which landmarks leave the state, `retire_unseen` or `retire_none`.
     associate : what to do about places that the map may hold twice, `keep_apart` or an `association.LoopClosing`.
-    gate : probability that a good measurement passes, 1 for no gate. min_disparity : px, below it a landmark waits.
+    gate : probability that a good measurement passes, 1 for no gate.
+    min_disparity : px, below it a landmark waits for a better view; `InverseDepth` needs no such limit.
     world_T_imu : (4, 4) pose at frame 0, the identity by default.
     after : a Step of an earlier run with the same arguments, to go on from; none: from the beginning.
     Raises ValueError for a gate outside (0, 1] or a negative disparity.
@@ -249,8 +246,8 @@ def run(drive: Drive, noise: Noise, error_state: ErrorState | None = None, *,
     if not min_disparity >= 0:
         raise ValueError(f"min_disparity must be >= 0 px, got {min_disparity!r}")
     error_state = error_state or RightPerturbation()
-    settings = UpdateSettings(drive.camera, noise, error_state, kalman.gate_threshold(gate), min_disparity)
     model = motion_model(drive, noise, error_state)
+    settings = UpdateSettings(drive.camera, noise, model.error_state, kalman.gate_threshold(gate), min_disparity)
     posterior = after.posterior if after else model.start(world_T_imu)
     # Matrices of a few hundred rows: the threads of one product would wait for each other longer than they work.
     blas = ThreadpoolController()

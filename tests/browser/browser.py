@@ -52,15 +52,15 @@ _FOLDERS = {  # of a Jupyter that knows nothing of the user's own
 
 
 @contextlib.contextmanager
-def jupyter(module, home, *options):
-    """Address of a Jupyter server with settings of its own, below `home`, that serves the folder home/notebooks."""
+def jupyter(module, home, *options, root=None):
+    """Address of a Jupyter server with settings of its own, below `home`; it serves `root`, or home/notebooks."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
     address, log = f"http://127.0.0.1:{port}", home / "server.log"
     command = [
         sys.executable, "-m", module, "--no-browser", "--allow-root", "--ip=127.0.0.1", f"--port={port}",
-        "--ServerApp.port_retries=0", f"--ServerApp.root_dir={home / 'notebooks'}", "--IdentityProvider.token=",
+        "--ServerApp.port_retries=0", f"--ServerApp.root_dir={root or home / 'notebooks'}", "--IdentityProvider.token=",
         *options,
     ]
     environment = os.environ | {name: str(home / folder) for name, folder in _FOLDERS.items()}

@@ -23,7 +23,7 @@ BUILT = CHAPTERS if WHOLE else [CHAPTERS[i] for i in (1, 2, 5, 7)]
 
 
 @pytest.fixture(scope="module")
-def site(tmp_path_factory):
+def site(tmp_path_factory, chromium):
     """Address of the built pages; of the explorers only that of chapter 05, which the first page shows."""
     out = tmp_path_factory.mktemp("site")
     left_out = [] if WHOLE else ["api.md", *(f"notebooks/{name}.ipynb" for name in CHAPTERS if name not in BUILT)]

@@ -19,6 +19,7 @@ from evo.tools import file_interface
 from vislam_edu import cli, recordings
 from vislam_edu.cli import outputs
 from vislam_edu.cli.run import prepare
+from vislam_edu.error_state import InverseDepth
 from vislam_edu.noise import Noise
 from vislam_edu.plots import report_figures
 from vislam_edu.recordings import files as recorded
@@ -27,11 +28,12 @@ from vislam_edu.studies import breakdown, pipeline
 
 SHARED = Path(__file__).resolve().parents[3] / "shared" / "data"
 KEYS = ["frames", "duration_s", "landmarks", "landmarks_used", "measurements", "rejected_share", "filter_s",
-        "real_time_factor", "metre", "end_sigma_m_without_calibration_error"]
+        "real_time_factor", "metre", "end_sigma_m_without_calibration_error", "recommended"]
 SENTENCES = ["changed", "warnings"]
 TRUTH_KEYS = ["position_rmse_m", "ate_m", "dead_reckoning_position_rmse_m", "dead_reckoning_ate_m",
               "drift_percent", "drift_deg_per_m", "nees_pose", "inside_3_sigma"]
-FILES = sorted(["kitti/trajectory.txt", "tum/trajectory.txt", "result.npz", "summary.json",
+FILES = sorted([*(f"{layout}/{path}.txt" for layout in ("kitti", "tum") for path in ("trajectory", "dead_reckoning")),
+                "result.npz", "summary.json",
                 *(f"{name}.png" for name in report_figures.FIGURES)])
 
 
@@ -80,7 +82,7 @@ def test_summary_has_its_keys_and_says_what_the_filter_did(out, recording):
     summary = json.loads((out / "summary.json").read_text())
     assert sorted(summary) == sorted(KEYS + TRUTH_KEYS + SENTENCES)
     drive = recordings.load(recording)
-    result = pipeline.run_pipeline(drive, Noise())
+    result = pipeline.run_pipeline(drive, Noise(), InverseDepth())
     assert summary["frames"] == 130
     assert summary["landmarks"] == drive.n_landmarks
     assert summary["landmarks_used"] == result.slam.map.seen.sum()
@@ -137,15 +139,16 @@ def test_run_as_a_program_with_a_progress_bar_and_a_printed_summary(recording, t
 @pytest.mark.usefixtures("no_figures")
 @pytest.mark.parametrize("options", [
     ["--error-state", "invariant"],
+    ["--error-state", "right"],
     ["--initialisation", "as-report"],
     ["--report-noise"],
     ["--sigma-px", "2"],
     ["--sigma-v", "0.1"],
     ["--sigma-omega", "0.01"],
     ["--gate", "0.5"],
-    ["--min-disparity", "12"],
+    ["--min-disparity", "12", "--error-state", "cartesian"],
     ["--every", "3"],
-], ids=lambda o: o[0])
+], ids=lambda o: " ".join(o))
 def test_every_option_reaches_the_filter(options, out, recording, tmp_path):
     assert cli.main(["run", str(recording), "--out", str(tmp_path), "--quiet", *options]) == 0
     with np.load(out / "result.npz") as plain, np.load(tmp_path / "result.npz") as changed:
@@ -154,7 +157,7 @@ def test_every_option_reaches_the_filter(options, out, recording, tmp_path):
 
 def test_report_noise_is_the_reports_unless_a_value_is_given():
     words = ["run", "--out", "x", "--report-noise", "--sigma-px", "1"]
-    _, noise, _ = prepare(cli.parser(words).parse_args(words))
+    _, noise, *_ = prepare(cli.parser(words).parse_args(words))
     assert (noise.sigma_v, noise.sigma_omega, noise.sigma_px) == (
         Noise.from_report().sigma_v, Noise.from_report().sigma_omega, 1)
 
@@ -364,6 +367,8 @@ def bad_files(tmp_path_factory):
     (["run", "good.npz", "--out", "out", "--every", "0"], "--every: 0 is not a whole number of at least 1"),
     (["run", "good.npz", "--out", "out", "--every", "1.5"], "--every: invalid whole number value"),
     (["run", "good.npz", "--out", "out", "--error-state", "left"], "--error-state: invalid choice: 'left'"),
+    (["run", "good.npz", "--out", "out", "--error-state", "inverse-depth", "--initialisation", "as-report"],
+     "as-report gives a landmark 2 m^2 per axis"),
     (["simulate", "--out", "a.npz", "--frames", "3"], "frames"),
     (["simulate", "--out", "a.npz", "--outlier-share", "2"], "--outlier-share"),
     (["simulate", "--out", "a.npz", "--gyro-bias", "nan", "0", "0"], "--gyro-bias"),
@@ -427,7 +432,7 @@ def gap(recording, tmp_path_factory):
     (["--sigma-v", "1e8"], "because the assumed noise is huge: sigma_v is 1e+08"),
     (["--sigma-px", "1e-6"], "because the assumed noise is tiny: sigma_px is 1e-06; assume more"),
     (["--sigma-px", "1e-8", "--initialisation", "as-report"], "because the assumed noise is tiny: sigma_px is 1e-08"),
-    (["gap"], "because of the gap of 1e+06 s after frame 30: cut the recording there")], ids=" ".join)
+    (["gap"], "because of the gap of 1e+06 s after frame 30: use the part before (--to 31) or after")], ids=" ".join)
 def test_a_filter_that_breaks_down_says_what_is_likely(options, reason, recording, gap, tmp_path, capsys):
     path, options = (gap, []) if options == ["gap"] else (recording, options)
     assert cli.main(["run", str(path), "--out", str(tmp_path / "out"), "--quiet", *options]) == 2

@@ -279,9 +279,9 @@ def test_broken_fields_are_named(case):
 
 
 def test_a_track_that_comes_back_is_named():
-    features = put(fields([(0, 5)] * 3, 6)["features"], (slice(None), 1, slice(2, 4)), np.nan)
+    drive = drive_from_features(**fields([(0, 5)] * 3, 6))
     with pytest.raises(DriveError, match="landmark 1 is seen in frame 1, then not, and again in frame 4"):
-        drive_from_features(GOOD.times, GOOD.twists, features, CAMERA)
+        drive.keep_observations((drive.landmark != 1) | (drive.frame < 2) | (drive.frame > 3))
 
 
 @pytest.mark.parametrize("missing", [-1.0, np.nan])

@@ -3,6 +3,7 @@
 import csv
 import json
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,6 +18,8 @@ from vislam_edu.course.exercises import EXERCISES
 from vislam_edu.course.grading import grading, report
 from vislam_edu.noise import Noise
 from vislam_edu.widgets import Explorer
+
+ROOT = Path(__file__).parents[2]
 
 # --- a capstone filled from ekf_slam ------------------------------------------------------------------------
 
@@ -214,6 +217,45 @@ def test_scores_go_to_the_teachers_report(tmp_path, monkeypatch, capsys):
     assert (row["notebook"], row["student"], row["drive"]) == ("a.ipynb", "5", "unseen 1")
     content = json.loads((tmp_path / "exercises.json").read_text())
     assert content[0]["exercises"][0]["score"]["drives"][0]["mine_ate"] == pytest.approx(float(row["mine_ate"]))
+
+
+def test_nothing_is_right_in_the_notebook_as_it_is_shipped(tmp_path, monkeypatch, capsys):
+    from vislam_edu.course.checks.check import VERDICTS
+
+    record = tmp_path / "verdicts.jsonl"
+    monkeypatch.setenv(VERDICTS, str(record))
+    notebook = json.loads((ROOT / "notebooks" / "13_your_own_filter.ipynb").read_text(encoding="utf-8"))
+    sources = ["".join(cell["source"]) for cell in notebook["cells"] if cell["cell_type"] == "code"]
+    cells = [source for source in sources if source.startswith(("import", "from", "def ")) or "check." in source
+             or "capstone.score" in source]
+    scope = {}
+    for source in cells:
+        with monkeypatch.context() as patch:
+            if "capstone.score" in source:
+                patch.setattr(capstone, "drives", lambda student: [capstone.unseen(student).slice(0, 10)])
+            exec(source, scope)
+    results = grading._verdicts(record)
+    assert set(capstone.STAGES) <= set(results)
+    assert {result.status for result in results.values()} == {NOT_WRITTEN}
+
+
+def test_a_score_never_replaces_the_verdict_of_the_check(tmp_path, monkeypatch, capsys):
+    from vislam_edu.course.checks.check import VERDICTS
+    from vislam_edu.course.exercises import check
+
+    def stands_still(drive, noise):
+        for _ in range(drive.n_frames):
+            yield np.eye(4), np.empty((0, 3)), np.empty(0, int), noise.initial_pose_covariance
+
+    record = tmp_path / "verdicts.jsonl"
+    monkeypatch.setenv(VERDICTS, str(record))
+    check.filter_run(stands_still)
+    monkeypatch.setattr(capstone, "drives", lambda student: [capstone.unseen(student).slice(0, 10)])
+    capstone.score(filled()["filter_run"])
+    capstone.score(EXERCISES["filter_run"].reference)
+    result = grading._verdicts(record)["filter_run"]
+    assert result.status == WRONG
+    assert len(result.score["drives"]) == 1
 
 
 def test_the_noise_of_the_capstone_is_that_of_its_drives():

@@ -3,6 +3,7 @@
 import csv
 import json
 from dataclasses import replace
+from functools import cache
 from itertools import islice
 
 import numpy as np
@@ -119,6 +120,47 @@ def test_the_right_answer_scores_ten():
     patient = clinic.Patient(1, 2, 1)
     patient.order("numbers", "standing still")
     assert patient.answer("covariance after the update", "missing", "standing still").total == 10
+
+
+@cache
+def read_once(name, seams, seed):
+    """`read` for a build that stands at these seams: all cured patients are one."""
+    return read(name, Build(*seams), seed)
+
+
+@pytest.mark.parametrize("name", FAULTS)
+def test_every_accepted_answer_scores_ten(name, monkeypatch):
+    """That the listed tests are evidence is tested above; here they are taken for it."""
+    fault = FAULTS[name]
+    monkeypatch.setattr(clinic, "evident", lambda test, examine: test in fault.seen_by)
+    monkeypatch.setattr(clinic, "read", lambda name, build, seed: read_once(name, tuple(vars(build).values()), seed))
+    monkeypatch.setattr(clinic, "draw", lambda *_: patients.of((name,), np.random.default_rng(0), 40_000))
+    for piece, kind in fault.answers:
+        patient = clinic.Patient("anyone", 1, fault.levels[0])
+        patient.order(*(fault.seen_by[:1] or ("H", "predict", "birth")))
+        assert piece in patient.left
+        score = patient.answer(piece, kind, fault.seen_by[:1])
+        assert score.total == 10, score
+        assert all("\n-" in diff or "\n+" in diff for diff in score.diffs)
+
+
+def test_a_level_1_sheet_can_clear_the_noise_values():
+    patient = clinic.Patient(1, 3, 1)  # healthy, built unusually
+    patient.suspects = [*patient.suspects, "noise values"]
+    patient.order("predict")
+    assert "noise values" in patient.left
+    patient.order("birth")
+    assert "noise values" not in patient.left
+
+
+def test_a_wrong_noise_value_is_never_cleared():
+    for name, fault in FAULTS.items():
+        if fault.piece == "noise values":
+            for severity in fault.severities:
+                build = replace(Build(), **fault.changes(severity))
+                found = [bands()[test][key].holds(value) for test in clinic_tests.CLEARED_TOGETHER["noise values"]
+                         for key, value in read(test, build, 40_000).items()]
+                assert not all(found), (name, severity)
 
 
 # --- examinations -------------------------------------------------------------------------------------------------

@@ -34,7 +34,7 @@ def standardised(test, readings):
 
 
 def guess(patient, rng):
-    return str(rng.choice(patient.suspects)), str(rng.choice(KINDS)), ""
+    return str(rng.choice(patient.suspects)), str(rng.choice(list(KINDS))), ""
 
 
 def by_experience(tests):

@@ -5,14 +5,15 @@ import pytest
 
 from vislam_edu import kalman, motion, simulate, window_slam
 from vislam_edu.course.ch10 import broken_filters
-from vislam_edu.course.ch10.broken_filters import PIECES, Piece, Visit, visit
+from vislam_edu.course.ch10.broken_filters import VARIANTS, Variant, Visit, visit
 from vislam_edu.course.exercises import EXERCISES
 from vislam_edu.error_state import RightPerturbation
 from vislam_edu.noise import Noise
 from vislam_edu.studies import consistency
+from vislam_edu.studies.runs import attempt
 
 NOISE = Noise(sigma_v=0.3, sigma_omega=0.01)
-KNOWN = {name: piece for name, piece in PIECES.items() if piece.exercise}
+KNOWN = {name: piece for name, piece in VARIANTS.items() if piece.exercise}
 
 
 @pytest.fixture(scope="module")
@@ -27,7 +28,7 @@ def start(drive):
 
 @pytest.fixture(scope="module")
 def visits(drive, start):
-    return {name: visit(piece, drive, NOISE, start) for name, piece in PIECES.items()}
+    return {name: visit(piece, drive, NOISE, start) for name, piece in VARIANTS.items()}
 
 
 @pytest.fixture(scope="module")
@@ -48,32 +49,32 @@ def wrong_version(piece):
 
 
 def error_state(name, drive):
-    return PIECES[name].applied_to(drive)[1]["error_state"]
+    return VARIANTS[name].applied_to(drive)[1]["error_state"]
 
 
 def test_every_piece_but_the_right_one_hangs_in_an_exercise_too():
-    assert set(PIECES) - set(KNOWN) == {"right"}
+    assert set(VARIANTS) - set(KNOWN) == {"right"}
     for piece in KNOWN.values():
         assert callable(wrong_version(piece))
 
 
 def test_the_right_one_is_the_package_and_every_mistake_stops_it_or_changes_the_path(drive, start, visits):
     poses = [step.posterior.world_T_imu for step in window_slam.run(drive, NOISE, gate=1, world_T_imu=start)]
-    np.testing.assert_array_equal(visits["right"].world_T_imu, poses)
+    np.testing.assert_array_equal(visits["right"].run.world_T_imu, poses)
     for name in KNOWN:
-        path, stopped = visits[name].world_T_imu, visits[name].stopped
+        path, stopped = visits[name].run.world_T_imu, visits[name].run.stopped
         assert stopped is not None or np.abs(path - poses).max() > 1e-4, name
 
 
 def test_camera_pieces_are_those_of_the_exercises(drive):
     points = np.array([[1.0, 0.5, 8.0], [-3.0, 1.0, 20.0]])
-    camera = PIECES["depth"].applied_to(drive)[0].camera
-    expected = [wrong_version(PIECES["depth"])(drive.camera, point) for point in points]
+    camera = VARIANTS["depth"].applied_to(drive)[0].camera
+    expected = [wrong_version(VARIANTS["depth"])(drive.camera, point) for point in points]
     np.testing.assert_allclose(camera.projection_jacobian(points), expected)
     np.testing.assert_array_equal(camera.project(points)[0], drive.camera.project(points)[0])
 
-    camera, pixels = PIECES["bearings"].applied_to(drive)[0].camera, drive.camera.project(points)[0]
-    expected, _ = wrong_version(PIECES["bearings"])(camera.K, camera.baseline, pixels)
+    camera, pixels = VARIANTS["bearings"].applied_to(drive)[0].camera, drive.camera.project(points)[0]
+    expected, _ = wrong_version(VARIANTS["bearings"])(camera.K, camera.baseline, pixels)
     np.testing.assert_allclose(camera.triangulate(pixels)[0], expected)
 
 
@@ -82,7 +83,7 @@ def test_pose_jacobians_are_those_of_the_exercises(name, drive, belief):
     J = drive.camera.measurement_jacobian(drive.camera.to_cam(belief.world_T_imu, belief.landmarks))
     arguments = belief.world_T_imu, belief.landmarks, J
     H_landmark, H_pose = error_state(name, drive).jacobians(*arguments)
-    wrong = wrong_version(PIECES[name])
+    wrong = wrong_version(VARIANTS[name])
     np.testing.assert_allclose(H_pose, [wrong(drive.camera, belief.world_T_imu, m) for m in belief.landmarks])
     np.testing.assert_array_equal(H_landmark, RightPerturbation().jacobians(*arguments)[0])
 
@@ -93,7 +94,7 @@ def test_corrections_are_those_of_the_exercises(name, drive, belief):
     n = belief.landmarks.size
     H, V, residual = rng.normal(size=(4, n + 6)), np.eye(4), rng.normal(size=4)
     delta, _ = kalman.update(belief.covariance, H, V, residual)
-    expected = wrong_version(PIECES[name])(belief.world_T_imu, belief.landmarks, belief.covariance, H, residual, V)
+    expected = wrong_version(VARIANTS[name])(belief.world_T_imu, belief.landmarks, belief.covariance, H, residual, V)
     T, landmarks = error_state(name, drive).retract(belief.world_T_imu, belief.landmarks, delta)
     np.testing.assert_allclose(T, expected[0], atol=1e-12)
     np.testing.assert_allclose(landmarks, expected[1], atol=1e-12)
@@ -103,7 +104,7 @@ def test_prediction_without_the_cross_terms_is_that_of_the_exercise(drive, belie
     right = motion.ImuDriven(drive, NOISE, RightPerturbation())
     transition = right.transition(belief, 5)
     W = transition.N_tail @ transition.Q @ transition.N_tail.T
-    expected = wrong_version(PIECES["cross"])(belief.covariance, transition.F_tail, W)
+    expected = wrong_version(VARIANTS["cross"])(belief.covariance, transition.F_tail, W)
     model = broken_filters.CrossNotPropagated(drive, NOISE, RightPerturbation())
     np.testing.assert_allclose(model.predict(belief, 5).covariance, expected, atol=1e-15)
 
@@ -117,7 +118,7 @@ def test_motion_pieces_change_the_noise_or_the_twist_only(drive):
     np.testing.assert_allclose(unscaled.body_noise * drive.taus[:, None, None], right.body_noise)
     np.testing.assert_array_equal(unscaled.increments, right.increments)
     for name, model in (("swapped", swapped), ("degrees", degrees)):
-        expected = [wrong_version(PIECES[name])(xi) for xi in drive.taus[:, None] * drive.step_twists]
+        expected = [wrong_version(VARIANTS[name])(xi) for xi in drive.taus[:, None] * drive.step_twists]
         np.testing.assert_allclose(model.increments, expected, atol=1e-14)
 
 
@@ -164,17 +165,25 @@ class FallsApart(RightPerturbation):
 
 
 def test_a_filter_that_falls_apart_is_stopped_and_said_to_diverge(drive, start):
-    seen = visit(Piece("falls apart", lambda drive: (drive, {"error_state": FallsApart()})), drive, NOISE, start)
-    assert 0 < seen.stopped < drive.n_frames
-    assert len(seen.world_T_imu) == len(seen.error) == len(seen.nis) == len(seen.nees) == seen.stopped
+    seen = visit(Variant("falls apart", lambda drive: (drive, {"error_state": FallsApart()})), drive, NOISE, start)
+    assert 0 < seen.run.stopped < drive.n_frames
+    assert len(seen.run.world_T_imu) == len(seen.error) == len(seen.nis) == len(seen.nees) == seen.run.stopped
     assert seen.lost
     assert seen.numbers[0] == "diverged"
 
 
 def test_numbers_are_two_digits_and_capped_where_they_are_chance():
     def of(error, nis, nees):
-        return Visit("", np.eye(4)[None], np.array([error]), np.array([np.nan, nis]), np.array([nees]), 1.0, None)
+        return Visit("", attempt([]), np.array([error]), np.array([np.nan, nis]), np.array([nees]))
 
     assert of(0.126, 4.14, 363.0).numbers == ("0.13 m", "4.1", "360")
     assert of(9.0, 99.0, 1000.0).numbers == ("9.00 m", "99", "1000")
     assert of(11.0, 101.0, np.inf).numbers == ("diverged", "> 100", "> 1000")
+
+
+@pytest.mark.parametrize("variant", [variant for variant in VARIANTS.values() if variant.edit], ids=lambda v: v.title)
+def test_an_edit_shows_a_wrong_line_and_the_right_one(variant):
+    """Where a line is to be added or taken away, only one of the two."""
+    place, *lines = variant.edit.diff.splitlines()
+    assert place.split(".")[0] in ("StereoCamera", "RightPerturbation", "ImuDriven")
+    assert {line[0] for line in lines} - {" "} in ({"-", "+"}, {"-"}), lines

@@ -10,7 +10,7 @@ from matplotlib.colors import to_hex
 from matplotlib.text import Text
 
 from vislam_edu import simulate
-from vislam_edu.course.ch10.broken_filters import PIECES, visit
+from vislam_edu.course.ch10.broken_filters import VARIANTS, visit
 from vislam_edu.course.ch10.panel import LIMITS, MuseumPicture, gallery, view
 from vislam_edu.error_state import RightPerturbation
 from vislam_edu.noise import Noise
@@ -27,7 +27,7 @@ def drive():
 @pytest.fixture(scope="module")
 def visits(drive):
     start = consistency.initial_pose(drive, consistency.FilterConfig(Noise(), RightPerturbation()), 1)
-    return [visit(PIECES[name], drive, Noise(), start) for name in ("right", "sign", "bearings", "birth")]
+    return [visit(VARIANTS[name], drive, Noise(), start) for name in ("right", "sign", "bearings", "birth")]
 
 
 @pytest.fixture(scope="module")
@@ -39,7 +39,7 @@ def test_a_piece_shows_its_own_path_and_numbers(picture, visits, drive):
     times = drive.times - drive.times[0]
     for seen in visits[1:]:
         picture.draw(seen.title)
-        np.testing.assert_array_equal(picture.path.get_xydata(), seen.world_T_imu[:, :2, 3])
+        np.testing.assert_array_equal(picture.path.get_xydata(), seen.run.world_T_imu[:, :2, 3])
         for kind, line in picture.lines.items():
             values = getattr(seen, kind)
             x, y = line.get_data()
@@ -56,7 +56,7 @@ def test_right_filter_and_truth_stand_still(picture, visits, drive):
     truth, right = picture.map.get_lines()[:2]
     assert truth.get_color() == COLOURS["truth"]
     np.testing.assert_array_equal(truth.get_xydata(), drive.true_world_T_imu[:, :2, 3])
-    np.testing.assert_array_equal(right.get_xydata(), visits[0].world_T_imu[:, :2, 3])
+    np.testing.assert_array_equal(right.get_xydata(), visits[0].run.world_T_imu[:, :2, 3])
     assert picture.map.get_aspect() == 1.0
 
 
@@ -72,7 +72,7 @@ def test_the_list_offers_every_mistake_and_says_its_numbers(picture, visits):
         assert seen.title in caption
         assert all(number in caption for number in (*seen.numbers, *visits[0].numbers))
         assert caption in picture.alt(seen.title)
-        assert ("could not go on" in caption) == (seen.stopped is not None)
+        assert ("could not go on" in caption) == (seen.run.stopped is not None)
     assert len(pictures) == len(visits) - 1
 
 
@@ -93,7 +93,7 @@ def test_gallery_has_a_map_for_each_and_counts_who_is_lost(visits, drive):
     for axes, seen in zip(shown, visits):
         truth, path = axes.get_lines()
         np.testing.assert_array_equal(truth.get_xydata(), drive.true_world_T_imu[:, :2, 3])
-        np.testing.assert_array_equal(path.get_xydata(), seen.world_T_imu[:, :2, 3])
+        np.testing.assert_array_equal(path.get_xydata(), seen.run.world_T_imu[:, :2, 3])
         assert to_hex(path.get_color()).upper() == COLOURS["rejected" if seen.lost else "predicted"].upper()
         assert (*axes.get_xlim(), *axes.get_ylim()) == pytest.approx(view(drive))
     assert any(seen.lost for seen in visits)
@@ -106,7 +106,7 @@ def test_gallery_is_large_enough_to_read(visits, drive):
 
 def test_titles_of_the_gallery_do_not_run_into_each_other(visits, drive):
     """With the longest title there is in every map."""
-    longest = max((piece.title for piece in PIECES.values()), key=len)
+    longest = max((piece.title for piece in VARIANTS.values()), key=len)
     figure = gallery([replace(visits[1], title=longest)] * 8, drive)
     figure.draw_without_rendering()
     titles = [text.get_window_extent() for axes in figure.axes[:4] for text in axes.findobj(Text)

@@ -20,7 +20,7 @@ from vislam_edu.course.ch01 import figures as chapter01
 from vislam_edu.course.ch02 import figures as chapter02
 from vislam_edu.course.ch03 import figures as chapter03
 from vislam_edu.course.ch05 import figures as chapter05
-from vislam_edu.error_state import RightInvariant, RightPerturbation
+from vislam_edu.error_state import RightInvariant, RightPerturbation, right_pose_covariance, world_landmark_covariance
 from vislam_edu.motion import Belief
 from vislam_edu.noise import Noise
 from vislam_edu.odometry import Trajectory
@@ -303,7 +303,7 @@ def test_listening_keeps_what_the_steps_said(drive, error_state):
     for i, (belief, row) in last.items():
         np.testing.assert_array_equal(told.map.landmarks[i], belief.landmarks[row])
         np.testing.assert_allclose(told.map.covariance[i],
-                                   pipeline.world_landmark_covariance(belief, error_state)[row])
+                                   world_landmark_covariance(belief, error_state)[row])
     assert told.measurements == sum(len(s.innovation.ids) for s in steps)
     assert told.rejected == sum((~s.innovation.accepted).sum() for s in steps)
 
@@ -316,10 +316,10 @@ def test_covariances_for_the_map_are_those_of_states_drawn_from_the_belief(error
     belief = Belief(T.copy(), landmarks.copy(), np.arange(3), A @ A.T)
     drawn = [error_state.retract(T, landmarks, delta) for delta in (A @ rng.normal(size=(15, 8000))).T]
     errors = np.array([m for _, m in drawn]) - landmarks
-    for i, covariance in enumerate(pipeline.world_landmark_covariance(belief, error_state)):
+    for i, covariance in enumerate(world_landmark_covariance(belief, error_state)):
         np.testing.assert_allclose(covariance, np.cov(errors[:, i].T), atol=0.07 * np.trace(covariance))
     poses = se3.log(se3.inverse(T) @ np.array([p for p, _ in drawn]))
-    P = pipeline.right_pose_covariance(belief, error_state)
+    P = right_pose_covariance(belief, error_state)
     scale = np.sqrt(np.outer(np.diag(P), np.diag(P)))
     np.testing.assert_allclose(np.cov(poses.T) / scale, P / scale, atol=0.07)
 

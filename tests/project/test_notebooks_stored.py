@@ -11,7 +11,7 @@ from nbconvert import HTMLExporter
 from nbformat import v4
 from picture_checks import GITHUB
 
-from vislam_edu.plots.style import PAGE
+from vislam_edu.plots.text import PAGE
 
 ROOT = Path(__file__).resolve().parents[2]
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))

@@ -28,10 +28,16 @@ def test_another_name_is_an_attribute_error():
         vislam_edu.nothing  # noqa: B018
 
 
-def test_the_readme_has_one_row_a_room():
-    table = (ROOT / "README.md").read_text(encoding="utf-8").partition("## The package")[2].partition("\n## ")[0]
-    rows = re.findall(r"(?m)^\| `(\w+)/`", table)
-    assert sorted(rows) == sorted(path.parent.name for path in (ROOT / "vislam_edu").glob("*/__init__.py"))
+def rows_of_readme(after):
+    text = (ROOT / "README.md").read_text(encoding="utf-8").partition("## The package")[2].partition("\n## ")[0]
+    return sorted(re.findall(r"(?m)^\| `(\w+)/`", text.partition(after)[2].partition("\n\n|")[2].partition("\n\n")[0]))
+
+
+def test_the_readme_has_one_row_a_room_of_the_helper_and_of_the_course():
+    rooms = {path.parent.name for path in (ROOT / "vislam_edu").glob("*/__init__.py")}
+    assert rows_of_readme("Two floors") == sorted(rooms - {"course"})
+    folders = {path.parent.name for path in (ROOT / "vislam_edu" / "course").glob("*/__init__.py")}
+    assert rows_of_readme("The course, ") == sorted({re.sub(r"^ch\d\d$", "chNN", name) for name in folders})
 
 
 def test_the_readme_names_every_core_file_once():

@@ -189,9 +189,8 @@ BROKEN_NPZ = {
     "features too few": (NPZ | {"features": FEATURES[:, :, :5]}, r"features: shape \(4, 3, 5\)"),
     "features flat": (NPZ | {"features": FEATURES[0]}, r"features: shape \(3, 6\)"),
     "features text": (NPZ | {"features": FEATURES.astype(str)}, "features: holds <U"),
-    "features objects": (NPZ | {"features": FEATURES.astype(object)}, "features: holds object of shape"),
+    "features objects": (NPZ | {"features": FEATURES.astype(object)}, "features: holds Python objects"),
     "features partial": (NPZ | {"features": put(FEATURES, (2, 1, 3), -1)}, "features: landmark 1, frame 3"),
-    "features gap": (NPZ | {"features": put(FEATURES, np.s_[:, 1, 3], -1)}, "landmark 1 is seen in frame 2"),
     "never seen": (NPZ | {"features": np.full_like(FEATURES, -1)}, "features: the recording is empty"),
     "no frame": (NPZ | {"time_stamps": np.empty((1, 0)), "features": np.empty((4, 3, 0)),
                         "linear_velocity": np.empty((3, 0)), "angular_velocity": np.empty((3, 0))},
@@ -220,14 +219,9 @@ def test_broken_npz_is_named(npz, case):
 
 BROKEN_PICKLED = {
     "no K_r": (without(PICKLED, "K_r"), "K_r: missing; the file has timestamps"),
-    "no features yet": (PICKLED | {"features": None}, "features: holds object"),
-    "other K_r": (PICKLED | {"K_r": put(K, (0, 0), 600)}, "K_r: differs from K_l"),
-    "cameras swapped": (PICKLED | {"extL_T_imu": PICKLED["extR_T_imu"], "extR_T_imu": CAM_T_IMU},
-                        r"extR_T_imu: puts the right camera at \[-0.6"),
+    "K_r not a matrix": (PICKLED | {"K_r": K[:2]}, "K_r: "),
     "cameras cross-eyed": (PICKLED | {"extR_T_imu": se3.exp([0, 0, 0, 0, 0.3, 0]) @ PICKLED["extR_T_imu"]},
-                           "extR_T_imu: puts the right camera"),
-    "inverted": (PICKLED | {"extL_T_imu": IMU_T_CAM, "extR_T_imu": se3.inverse(PICKLED["extR_T_imu"])},
-                 "extR_T_imu: puts the right camera"),
+                           "extL_T_imu, extR_T_imu: no reading puts the right camera"),
     "ragged": (PICKLED | {"v_t": [[1, 2], [3]]}, "v_t: "),
     "not a dictionary": ([1, 2], "its pickle holds a list, expected a dictionary"),
 }
@@ -286,7 +280,7 @@ class Call:
 @pytest.mark.parametrize("place", ["alone", "in the dictionary"])
 def test_a_pickle_that_would_run_code_runs_nothing(tmp_path, npy_pickle, protocol, function, place):
     mark = tmp_path / "mark.npy"
-    call = {"os.system": Call(os.system, f"touch {mark}"),
+    call = {"os.system": Call(os.system, f"echo > {mark}"),
             "builtins.eval": Call(eval, f"open({str(mark)!r}, 'w')"),
             "builtins.open": Call(open, str(mark), "w"),
             "numpy.save": Call(np.save, str(mark), 1)}[function]
@@ -299,7 +293,7 @@ def test_a_pickle_that_would_run_code_runs_nothing(tmp_path, npy_pickle, protoco
 
 def test_the_attack_above_is_a_real_one(tmp_path):
     mark = tmp_path / "mark"
-    pickle.loads(pickle.dumps(Call(os.system, f"touch {mark}")))
+    pickle.loads(pickle.dumps(Call(os.system, f"echo > {mark}")))
     assert mark.exists()
 
 
@@ -390,7 +384,7 @@ def test_tum_comments_and_a_single_row(text, drive):
 
 IDENTITY = "1 0 0 0 0 1 0 0 0 0 1 0\n"
 BROKEN_TRUTH = {
-    "empty": ("# nothing\n\n", "no pose in it"),
+    "empty": ("# nothing\n\n", "no row of numbers in it"),
     "columns": ("1 2 3\n", "3 numbers a row, expected 12"),
     "ragged": (IDENTITY + "1 0 0\n", "line 2: expected 12 finite numbers"),
     "nan": (IDENTITY + IDENTITY.replace("1", "nan"), "line 2: expected 12 finite"),

@@ -181,7 +181,7 @@ def test_the_command_writes_its_summary(tmp_path, capsys):
     assert figures["band_99"] == list(metrics.chi2_band(6, 2))
     assert (figures["runs"], figures["frames"], figures["sigma_v"]) == (2, 6, 0.2)
     printed = capsys.readouterr().out
-    for name in ["report_values", "report", "right_perturbation", "right_invariant"]:
+    for name in ["report_values", "report", "right_perturbation", "right_invariant", "inverse_depth"]:
         assert name in printed
         assert {"nees_pose", "nees_rotation", "nees_position", "nis", "rmse_m"} <= figures[name].keys()
 

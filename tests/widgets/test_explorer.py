@@ -15,11 +15,10 @@ from scipy.stats import chi2, multivariate_normal
 from vislam_edu import mapping, odometry, plots, se3, simulate, window_slam
 from vislam_edu.belief import Step
 from vislam_edu.course.ch05.panel import AS_IT_WAS, WHAT_IF, WhatIf
-from vislam_edu.error_state import RightInvariant, RightPerturbation
+from vislam_edu.error_state import RightInvariant, RightPerturbation, right_pose_covariance, world_landmark_covariance
 from vislam_edu.motion import TwistAndBias
 from vislam_edu.noise import Noise
 from vislam_edu.plots import style
-from vislam_edu.studies import pipeline
 from vislam_edu.widgets import BOTH, Explorer, PathBelief, history, packing
 from vislam_edu.widgets.explorer_still import Run, leave_out_covering
 
@@ -85,7 +84,7 @@ def test_ellipses_are_those_of_positions_in_the_world(runs, explorer, name):
     """For the invariant filter that takes the correlation with the pose."""
     run = unpacked(explorer)[list(STATES).index(name)]
     for i, belief in list(enumerate(beliefs(runs[name])))[1::13]:
-        world = pipeline.world_landmark_covariance(belief, STATES[name])
+        world = world_landmark_covariance(belief, STATES[name])
         np.testing.assert_allclose(run.ellipses(i), world[:, :2, :2], rtol=1e-5, atol=1e-9)
         np.testing.assert_allclose(run.axes[run.of(i)], history.principal_sigmas(world), rtol=1e-4, atol=1e-7)
 
@@ -96,7 +95,7 @@ def test_series_are_the_errors_of_a_right_perturbation_with_three_sigma(runs, ex
         for i in (1, 30, 41, 119):
             belief, T = beliefs(steps)[i], drive.true_world_T_imu[i // 2]
             error = se3.log(se3.inverse(belief.world_T_imu) @ T)
-            claimed = pipeline.right_pose_covariance(belief, STATES[name])
+            claimed = right_pose_covariance(belief, STATES[name])
             assert one["forward error"].values[i] == pytest.approx(error[0], rel=1e-9)
             assert heading.values[i] == pytest.approx(np.degrees(error[5]), rel=1e-9)
             assert heading.high[i] == -heading.low[i] == pytest.approx(np.degrees(3 * np.sqrt(claimed[5, 5])))
@@ -373,4 +372,4 @@ def test_world_covariance_of_the_landmarks_against_central_differences(drive, er
     J = central_difference(landmarks, len(belief.covariance))
     full = J @ belief.covariance @ J.T
     expected = [full[3 * j : 3 * j + 3, 3 * j : 3 * j + 3] for j in range(len(belief.ids))]
-    np.testing.assert_allclose(pipeline.world_landmark_covariance(belief, error_state), expected, rtol=1e-6, atol=1e-9)
+    np.testing.assert_allclose(world_landmark_covariance(belief, error_state), expected, rtol=1e-6, atol=1e-9)

@@ -25,6 +25,7 @@ SPEED_SCALE, GYRO_SCALE = slice(9, 10), slice(10, 11)
 N_PARAMETERS = 11
 _ITERATIONS = 12
 _MIN_STEPS = 30
+_MIN_TURNING = 3.0  # variance of the rates that the cameras see, over that of their noise alone
 _LEAST_NOISE = 1e-6  # m/s and rad/s: no sensor is perfect, and a zero has no logarithm
 # What nothing tells of (no turns, no speed) stays near zero, or one; 100 m and a scale of 100 do not pull on the rest
 _PRIOR = np.diag([1e-9] * 3 + [1e-4] * 3 + [1e-9] * 3 + [1e-4] * 2)
@@ -32,7 +33,7 @@ CUT = 4.0  # standard deviations: what lies beyond is a failure of tracker or IM
 
 
 class TooFewSteps(ValueError):
-    """The cameras' motion is known in too few steps to judge the IMU by it."""
+    """The cameras' motion is known in too few steps, or has too few turns, to judge the IMU by it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,10 +104,16 @@ def usable_steps(motions):
 
 
 def enough_steps(motions):
-    """The steps (n,) that `usable_steps` names. Raises TooFewSteps when there are fewer than 30."""
+    """The steps (n,) that `usable_steps` names.
+
+    Raises TooFewSteps when there are fewer than 30, or when the turns in them are lost in the cameras' noise.
+    """
     steps = np.flatnonzero(usable_steps(motions))
     if len(steps) < _MIN_STEPS:
         raise TooFewSteps(f"the cameras' motion is known in {len(steps)} steps only, {_MIN_STEPS} are needed")
+    noise = np.trace(motions.twist_covariance[steps, 3:, 3:], axis1=1, axis2=2).mean()
+    if motions.twists[steps, 3:].var(axis=0).sum() < _MIN_TURNING * noise:
+        raise TooFewSteps("the drive turns by less than the cameras' noise")
     return steps
 
 
@@ -163,15 +170,19 @@ def fit(steps, measured, seen, covariance, imu_R_cam=None) -> Alignment:
     """
     R = _start(measured, seen) if imu_R_cam is None else imu_R_cam
     p, b, scales = np.zeros(3), np.zeros(3), _start_scales(measured, seen, R)
+    least = np.maximum(0.7 * white_noise(measured), _LEAST_NOISE)  # a median of few samples scatters
     for _ in range(_ITERATIONS):
         predicted, jacobian = _model(seen, R, p, b, scales)
         residual = measured - predicted
         cameras = _camera_variance(R, p, covariance)
-        sigma, inlier = _imu_noise(residual, cameras)
+        sigma, inlier = _imu_noise(residual, cameras, least)
         weight = inlier / (sigma**2 + cameras)
         weighted = jacobian * weight[..., None]
         information = np.einsum("kai,kaj->ij", weighted, jacobian, optimize=True) + _PRIOR
-        gradient = np.einsum("kai,ka->i", weighted, residual)
+        # At the noisy twists the Jacobian's own noise would draw the scales towards zero (errors in variables)
+        Ad = se3.adjoint(se3.pose(R, p)) * np.repeat(scales, 3)[:, None]
+        _, jacobian = _model(seen + np.matvec(covariance @ Ad.T, residual * weight), R, p, b, scales)
+        gradient = np.einsum("kai,ka->i", jacobian, residual * weight)
         gradient -= _PRIOR @ np.concatenate([np.zeros(3), p, b, scales - 1])
         free = slice(None) if imu_R_cam is None else slice(3, None)
         delta = np.zeros(N_PARAMETERS)
@@ -180,7 +191,7 @@ def fit(steps, measured, seen, covariance, imu_R_cam=None) -> Alignment:
         p, b, scales = p + delta[LEVER_ARM], b + delta[GYRO_BIAS], scales + delta[9:]
     predicted, jacobian = _model(seen, R, p, b, scales)
     cameras = _camera_variance(R, p, covariance)
-    sigma, inlier = _imu_noise(measured - predicted, cameras)
+    sigma, inlier = _imu_noise(measured - predicted, cameras, least)
     score = np.einsum("kai,ka->ki", jacobian, (measured - predicted) * inlier / (sigma**2 + cameras))
     return Alignment(imu_R_cam=R, camera_in_imu=p, gyro_bias=b, speed_scale=float(scales[0]),
                      gyro_scale=float(scales[1]), steps=steps,
@@ -242,13 +253,27 @@ def _model(seen, R, p, b, scales):
     return predicted, J
 
 
-def _imu_noise(residual, cameras):
-    """IMU noise (6,) behind residuals (n, 6) of which the cameras' variance is known, and which are not outliers."""
-    sigma = np.maximum(np.median(np.abs(residual), axis=0) / 0.6745, _LEAST_NOISE)
+def white_noise(samples):
+    """(6,): noise of samples (n, 6) from their second differences, in which a smooth motion hardly shows.
+
+    x_{k-1} - 2 x_k + x_{k+1} of white noise sigma has the variance 6 sigma^2; by the median, which sharp turns do not
+    move. A bias or a wrong scale does not show.
+    Source: Allan, Statistics of atomic frequency standards, 1966 (differences in place of means).
+    """
+    second = np.abs(np.diff(samples, n=2, axis=0))
+    return 1.4826 * np.median(second, axis=0) / 6**0.5 if len(second) else np.zeros(6)
+
+
+def _imu_noise(residual, cameras, least):
+    """IMU noise (6,) behind residuals (n, 6) of which the cameras' variance is known, and which are not outliers.
+
+    least (6,) : what the IMU's own samples show.
+    """
+    sigma = np.maximum(np.median(np.abs(residual), axis=0) / 0.6745, least)
     for _ in range(10):
         total = sigma**2 + cameras
         inlier = residual**2 < CUT**2 * total
         weight = inlier / total**2  # of a squared residual, whose variance is 2 total^2
         variance = (weight * (residual**2 - cameras)).sum(axis=0) / np.maximum(weight.sum(axis=0), 1e-300)
-        sigma = np.sqrt(np.maximum(variance, _LEAST_NOISE**2))
+        sigma = np.sqrt(np.maximum(variance, least**2))
     return sigma, inlier

@@ -20,6 +20,7 @@ MIN_LEVER_ARM = 0.1  # m
 MIN_MISALIGNMENT = np.radians(2.0)
 MIN_SCALE = 0.02  # of the speed; twice that of the gyro
 CAMERAS_SCALE = 0.03  # what the calibration of a stereo pair may be off by; more is a fault of the IMU's speed
+MOST_SCALE = 1.3  # no speed sensor and no gyro is wrong by more, either way
 MIN_GYRO_BIAS = 1e-3  # rad/s: 3 degrees of heading a minute
 
 _READINGS = {"k": 0.0, "mean": -0.5, "k+1": -1.0}  # which step k + s sample k is read for
@@ -163,7 +164,7 @@ def lever_arm(drive, alignment):
 
 
 def scale_conflict(drive, alignment):
-    """Whose metre is it? The IMU's speed and the cameras' baseline disagree about the length of the path.
+    """The IMU's speed and the cameras' baseline disagree about the length of the path.
 
     The recording cannot tell which is wrong. A few per cent may be either, and nothing is changed; more than a stereo
     pair's calibration is ever off by must be the IMU's unit.
@@ -176,6 +177,9 @@ def scale_conflict(drive, alignment):
             f"the IMU is right, baseline or focal length are off by {100 * (scale - 1):+.1f} % and the drive is about "
             f"{by_imu:.0f} m long; if the cameras are, the IMU's speed is wrong by as much and it is "
             f"{by_imu / scale:.0f} m long")
+    if not 1 / MOST_SCALE < scale < MOST_SCALE:
+        yield _contradiction("scale conflict", scale, p, text)
+        return
     if abs(scale - 1) > CAMERAS_SCALE:
         factors = np.r_[[scale] * 3, np.ones(3)]
         cure = cures.scale_imu(factors, f"speed divided by {scale:.4f}")
@@ -188,12 +192,20 @@ def scale_conflict(drive, alignment):
 def gyro_scale(drive, alignment):
     """A gyro that measures too much or too little throughout."""
     scale, p = alignment.gyro_scale, alignment.p_value(GYRO_SCALE, alignment.gyro_scale - 1)
-    if p < SIGNIFICANCE and abs(scale - 1) > 2 * MIN_SCALE:
+    if p < SIGNIFICANCE and not 1 / MOST_SCALE < scale < MOST_SCALE:
+        yield _contradiction("gyro scale", scale, p, f"the IMU's gyro is {scale:.3f} times the cameras'")
+    elif p < SIGNIFICANCE and abs(scale - 1) > 2 * MIN_SCALE:
         yield Finding(
             "gyro scale", scale, "IMU / cameras", chance(p), f"the IMU's gyro is {scale:.3f} times the cameras'",
             cures.scale_imu(np.r_[np.ones(3), [scale] * 3], f"gyro divided by {scale:.4f}"),
             f"divide the gyro by {scale:.3f}",
         )  # fmt: skip
+
+
+def _contradiction(fault, scale, p, text):
+    return Finding(fault, scale, "IMU / cameras", chance(p), f"{text}; no sensor is that wrong", None,
+                   "nothing is cured: compare K, the image size, the units and the times of the file with its source",
+                   whole=True)
 
 
 def gyro_bias(drive, alignment):
@@ -209,8 +221,8 @@ def gyro_bias(drive, alignment):
 
 def facts(timing, alignment):
     """What timing and alignment measure whether anything is wrong or not, by name."""
-    return {
-        "IMU sample k fits step k + s best for s": "{:.2f} +- {:.2f}".format(*timing.peak),
+    when = {"IMU sample k fits step k + s best for s": "{:.2f} +- {:.2f}".format(*timing.peak)} if timing else {}
+    return when | {
         "camera in the IMU frame [m]": f"{_list(alignment.camera_in_imu, 2)} "
                                        f"+- {_list(alignment.sigma(LEVER_ARM), 2)}",
         "gyro bias [rad/s]": f"{_list(alignment.gyro_bias, 4)} +- {_list(alignment.sigma(GYRO_BIAS), 4)}",

@@ -52,6 +52,8 @@ class Timing:
 
         `imu_alignment.evidence` tells why the cameras' noise counts; two offsets see two independent pieces of it.
         """
+        if not np.isfinite(self.peak[1]):
+            return 1.0  # no offset stands out
         if abs(self.peak[0] - offset) < 0.75:
             return float(2 * norm.sf(abs(self.peak[0] - offset) / self.peak[1]))
         gain = self.log_likelihood.max() - self.log_likelihood[np.abs(OFFSETS - offset) < 0.75].max()

@@ -5,11 +5,14 @@
     drive = drive.apply(report["copy frames"].cure)     # one cure, or all of them: report.cured()
 
 The checks stand in `track_checks`, `calibration_checks` and `imu_checks`; the cameras' own frame-to-frame motion
-(`visual_odometry`) is the yardstick for the IMU (`imu_timing`, `imu_alignment`). A finding has to pass twice: a drive
+(`visual_odometry`) is the yardstick for the IMU (`imu_timing`, `imu_alignment`). Where they find something, `whole`
+asks whether one wrong reading of the file explains it all. A finding has to pass twice: a drive
 without the fault would look as bad less than once in 10,000 times, and the fault is large enough to matter. Nothing
 is corrected silently: inside, later checks see the drive with earlier cures applied (a flipped axis would hide the
 bias), outside the drive is what it was.
 """
+
+from dataclasses import replace
 
 from ..drive import Drive
 from . import (
@@ -17,16 +20,28 @@ from . import (
     imu_alignment,
     imu_checks,
     imu_timing,
+    innovations,
     measured_noise,
+    strides,
     track_checks,
     track_health,
     visual_odometry,
+    whole,
 )
 from .report import Report
 
 
 def audit(drive: Drive) -> Report:
-    """Judge a recording. Works on any drive; what cannot be judged (an IMU without usable cameras) is left out."""
+    """Judge a recording. Works on any drive; what cannot be judged (an IMU without usable cameras) is named."""
+    certain = list(whole.certain(drive))
+    report = _judge(_apply(drive, certain))
+    if report.alignment is None or report.findings:
+        report = whole.explained(report, _judge)
+    return replace(report, drive=drive, findings=(*certain, *report.findings))
+
+
+def _judge(drive: Drive) -> Report:
+    """The checks of the single sensors, one after the other."""
     copy_steps = track_health.copy_steps(drive)
     findings = [*track_checks.copy_frames(drive, copy_steps), *track_checks.frozen(drive),
                 *track_checks.behind_infinity(drive), *track_checks.row_offset(drive),
@@ -38,27 +53,37 @@ def audit(drive: Drive) -> Report:
     halves = calibration_checks.halves_by_place(agreeing), calibration_checks.halves_at_random(agreeing)
     findings += [*calibration_checks.row_saddle(agreeing), *calibration_checks.split_halves(*halves)]
     facts = track_checks.facts(drive, cured, motions) | calibration_checks.facts(agreeing, *halves)
+    unjudged = ""
     try:
-        timing = imu_timing.estimate(cured, motions)
-        findings += imu_checks.mistimed(cured, timing)
+        every, timing = strides.stride(cured, motions), None
+        if every == 1:
+            timing = imu_timing.estimate(cured, motions)
+            findings += imu_checks.mistimed(cured, timing)
+        else:
+            unjudged = f"IMU timing (tracks move enough over {every} frames only)"
         in_time = _apply(drive, findings)
-        signs = imu_alignment.correlation_by_extrinsics(in_time, motions)
-        alignment = imu_alignment.align(in_time, motions)
+        compared = strides.thin(in_time, every)
+        seen = visual_odometry.estimate(compared) if every > 1 else motions
+        alignment = imu_alignment.align(compared, seen)
+        signs = imu_alignment.correlation_by_extrinsics(compared, seen)
     except imu_alignment.TooFewSteps as reason:
-        facts["IMU"] = f"not judged: {reason}"
+        unjudged = f"IMU, extrinsics, scale ({reason})"
         timing, signs, alignment = None, None, None
         noise = measured_noise.from_samples(cured)
+        if len(cured.landmark):
+            findings += innovations.readings(cured, noise.noise)
         facts["IMU noise by second differences [m/s, rad/s]"] = [noise.noise.sigma_v, noise.noise.sigma_omega]
     else:
-        mirrored, alignment = imu_checks.mirrored_axis(in_time, motions, alignment)
+        mirrored, alignment = imu_checks.mirrored_axis(compared, seen, alignment)
         findings += mirrored
         for check in (imu_checks.turned_axes, imu_checks.misalignment, imu_checks.lever_arm,
                       imu_checks.scale_conflict, imu_checks.gyro_scale, imu_checks.gyro_bias):
             findings += check(_apply(drive, findings), alignment)
-        noise = measured_noise.from_alignment(in_time, alignment, motions)
+        noise = measured_noise.from_alignment(in_time, alignment, motions, every)
+        alignment = replace(alignment, steps=every * alignment.steps)
         facts |= imu_checks.facts(timing, alignment)
     return Report(drive=drive, findings=tuple(findings), facts=facts, signs=signs, alignment=alignment, noise=noise,
-                  timing=timing, motions=motions, copy_steps=copy_steps)
+                  timing=timing, motions=motions, copy_steps=copy_steps, unjudged=unjudged)
 
 
 def _apply(drive, findings):

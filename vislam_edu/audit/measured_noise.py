@@ -60,9 +60,10 @@ def measure(drive) -> MeasuredNoise:
     return from_alignment(tracks, imu_alignment.align(tracks, motions), motions)
 
 
-def from_alignment(drive, alignment, motions) -> MeasuredNoise:
-    """The same from an `Alignment` and `FrameMotions` already at hand."""
-    per_sample = 2**0.5 if drive.imu_sample == "mean" else 1.0  # the mean of two samples has half the variance
+def from_alignment(drive, alignment, motions, every=1) -> MeasuredNoise:
+    """The same from an `Alignment` and `FrameMotions` already at hand. every : samples that a step of it averages."""
+    # The mean of two samples has half the variance
+    per_sample = 2**0.5 if every == 1 and drive.imu_sample == "mean" else every**0.5
     sigma = per_sample * alignment.imu_sigma
     # Squared residuals scatter by sqrt(2) of their variance; all of that falls on the IMU's part
     variance_error = np.sqrt(2 / np.sum(alignment.variance**-2, axis=0))
@@ -77,14 +78,8 @@ def from_alignment(drive, alignment, motions) -> MeasuredNoise:
 
 
 def from_samples(drive) -> MeasuredNoise:
-    """Noise of the IMU from second differences of its samples, where no camera can judge it.
-
-    A car moves smoothly, so x_{k-1} - 2 x_k + x_{k+1} of white noise sigma is nearly all noise, of variance
-    6 sigma^2; robust by the median, which sharp turns do not move. A bias or a wrong scale does not show.
-    Source: Allan, Statistics of atomic frequency standards, 1966 (differences in place of means).
-    """
-    second = np.abs(np.diff(drive.twists, n=2, axis=0))
-    sigma = 1.4826 * np.median(second, axis=0) / 6**0.5 if len(second) else np.zeros(6)
+    """Noise of the IMU from its own samples (`imu_alignment.white_noise`), where no camera can judge it."""
+    sigma = imu_alignment.white_noise(drive.twists)
     rows = visual_odometry.row_noise(drive.pixels)
-    error = sigma / max(len(second), 1) ** 0.5  # of a median, neighbours sharing samples: about one over the root
+    error = sigma / drive.n_frames**0.5  # of a median, neighbours sharing samples: about one over the root
     return MeasuredNoise(sigma[:3], sigma[3:], sigma_px_rows=rows, sigma_px_flow=rows, standard_error=error)

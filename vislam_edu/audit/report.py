@@ -10,6 +10,7 @@ import numpy as np
 from .. import plots
 from ..drive import Drive
 from ..plots import style
+from ..plots.text import on_a_page
 from . import imu_alignment, imu_timing, track_health
 from .cures import Cure
 from .imu_alignment import Alignment
@@ -17,6 +18,7 @@ from .imu_timing import Timing
 from .measured_noise import MeasuredNoise
 from .visual_odometry import FrameMotions
 
+FARTHEST = 3.0  # standard deviations
 AXES = ("v_x", "v_y", "v_z", "gyro x", "gyro y", "gyro z")
 
 
@@ -27,7 +29,8 @@ class Finding:
     fault : its short name. size, unit : how large, a number or a list. p_value : how often a recording without
     the fault would look as bad (0 where no chance is involved, never below 1e-300 where it is). text : one
     sentence. cure : `Cure`, or None where the recording cannot tell which of its numbers is wrong. advice : what to
-    do, one line.
+    do, one line. whole : the file as a whole is read wrongly (`whole`) or contradicts itself, so that a filter should
+    not run on it as it is.
     """
 
     fault: str
@@ -37,6 +40,7 @@ class Finding:
     text: str
     cure: Cure | None
     advice: str
+    whole: bool = False
 
     @property
     def confidence(self) -> float:
@@ -55,6 +59,7 @@ class Finding:
             "fault": self.fault, "size": self.size, "unit": self.unit, "p_value": self.p_value,
             "confidence": self.confidence, "text": self.text, "advice": self.advice,
             "cure": self.cure and self.cure.name, "needs_future": self.cure and self.cure.needs_future,
+            "whole": self.whole,
         }  # fmt: skip
 
 
@@ -69,7 +74,7 @@ class Report:
     alignment : what fits the IMU to the cameras best, cures of timing applied. noise : measured noise, from second
         differences of the IMU's samples where there is no alignment.
     timing : which sample fits which step, or None. motions : the cameras' motions.
-    copy_steps : (T-1,) bool, steps that end in a copy frame.
+    copy_steps : (T-1,) bool, steps that end in a copy frame. unjudged : what could not be judged and why, or "".
     """
 
     drive: Drive
@@ -81,6 +86,7 @@ class Report:
     timing: Timing | None
     motions: FrameMotions
     copy_steps: np.ndarray
+    unjudged: str = ""
 
     def __contains__(self, fault: str) -> bool:
         return any(finding.fault == fault for finding in self.findings)
@@ -100,6 +106,35 @@ class Report:
                 drive = drive.apply(finding.cure)
         return drive
 
+    @property
+    def refusal(self) -> str:
+        """Why no filter should run on this drive as it is, in one line; empty where nothing speaks against it."""
+        return "; ".join(f"{finding.text} ({finding.advice})" for finding in self.findings if finding.whole)
+
+    @property
+    def too_far(self) -> str:
+        """Why the fitted cures should not be applied: they move dead reckoning by more than it may be wrong; or "".
+
+        Held against each other are way and turning, summed over the drive, in the IMU's frame. They may be wrong by the
+        noise, by 0.02 rad/s of gyro bias and by 5 % of scale (one standard deviation each).
+        """
+        before, after = self.cured(needs_future=False), self.cured()
+        tau, noise = before.taus[:, None], np.concatenate([self.noise.sigma_v, self.noise.sigma_omega])
+        moved = (tau * (after.step_twists - before.step_twists)).sum(axis=0)
+        variance = (tau**2 * noise**2).sum(axis=0) + np.repeat([0, (0.02 * before.duration) ** 2], 3)
+        variance += (0.05 * (tau * np.abs(before.step_twists)).sum(axis=0)) ** 2
+        if not (np.abs(moved) > FARTHEST * np.sqrt(variance)).any():
+            return ""
+        names = ", ".join(f.fault for f in self.findings if f.cure and f.cure.needs_future)
+        return (f"the fitted cures ({names}) move dead reckoning by {np.linalg.norm(moved[:3]):.3g} m of way and "
+                f"{np.degrees(np.linalg.norm(moved[3:])):.3g} deg of turning over the drive, more than its sensors can "
+                "be wrong by: not applied (--force applies them)")
+
+    def _verdict(self) -> str:
+        judged = " in tracks and calibration" if len(self.drive.landmark) else " (no tracks)"
+        found = f"{len(self.findings)} findings" if self.findings else "Nothing found" + (self.unjudged and judged)
+        return found + (f"; not judged: {self.unjudged}" if self.unjudged else "") + "."
+
     def __str__(self):
         drive = self.drive
         lines = [f"Audit of {drive.name or 'a drive'}: {drive.n_frames} frames, {drive.duration:.1f} s, "
@@ -112,10 +147,10 @@ class Report:
             for row in zip(AXES, self.signs, self.alignment.correlation, noise):
                 lines.append("{:8}{:>+15.2f}{:>+15.2f}{:>12.3g}".format(*row))
             lines.append("(v in m/s, gyro in rad/s)")
-        lines += ["", f"{len(self.findings)} findings" if self.findings else "Nothing found."]
+        lines += ["", plots.on_a_page(self._verdict())]
         for i, finding in enumerate(self.findings, start=1):
             future = " (needs the whole drive)" if finding.cure and finding.cure.needs_future else ""
-            lines.append(style.on_a_page(f"{i}. {finding}{future}"))
+            lines.append(on_a_page(f"{i}. {finding}{future}"))
         return "\n".join(lines)
 
     def to_dict(self) -> dict:
@@ -124,7 +159,7 @@ class Report:
         return {
             "name": self.drive.name, "frames": self.drive.n_frames, "tracks": self.drive.n_landmarks,
             "history": list(self.drive.history), "facts": self.facts,
-            "findings": [finding.to_dict() for finding in self.findings],
+            "findings": [finding.to_dict() for finding in self.findings], "unjudged": self.unjudged,
             "copy_frames": (np.flatnonzero(self.copy_steps) + 1).tolist(),
             "alignment": alignment and self.signs is not None and {
                 "imu_R_cam": alignment.imu_R_cam.tolist(),

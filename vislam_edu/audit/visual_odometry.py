@@ -102,21 +102,21 @@ def estimate(drive) -> FrameMotions:
         return _nothing(drive, step, before, after)
 
     for _ in range(_ROBUST_ROUNDS):
-        whitener = problem.whitener(after_T_before)
+        whitener, gain = problem.whitener(after_T_before)
         for _ in range(_ITERATIONS):
-            residual, jacobian = problem.whitened(after_T_before, whitener)
+            residual, jacobian = problem.whitened(after_T_before, whitener, gain)
             d2 = np.sum(residual**2, axis=-1)
             width2 = np.maximum(problem.median_by_step(d2) / chi2.median(3), _TINY_PX**2)
             weight = 1 / (1 + d2 / (3 * width2[step]))
             after_T_before, _ = problem.gauss_newton(after_T_before, residual, jacobian, weight)
 
     limit = chi2.ppf(INLIER_PROBABILITY, 3)
-    whitener = problem.whitener(after_T_before)
+    whitener, gain = problem.whitener(after_T_before)
     d2 = problem.distance2(after_T_before, whitener)
     least = max(row_noise(drive.pixels), _TINY_PX) ** 2
     variance = max(np.median(d2) / chi2.median(3), least)
     for _ in range(_ITERATIONS):
-        residual, jacobian = problem.whitened(after_T_before, whitener)
+        residual, jacobian = problem.whitened(after_T_before, whitener, gain)
         inlier = np.sum(residual**2, axis=-1) < limit * variance
         after_T_before, information = problem.gauss_newton(after_T_before, residual, jacobian, inlier)
         d2 = problem.distance2(after_T_before, whitener)
@@ -153,18 +153,15 @@ class _Problem:
         self.centre = np.array([cu, cv, cu])
         first, self.measured = (_three(drive.pixels[rows]) - self.centre for rows in (before, after))
         ray = np.stack([first[:, 0] / fu, first[:, 1] / fv, np.ones(len(step))], axis=-1)
-        self.ray, self.inverse_depth = ray, (first[:, 0] - first[:, 2]) / self.fb
+        self.point = np.column_stack([ray, (first[:, 0] - first[:, 2]) / self.fb])
         # Columns: how [ray, inverse depth] answers to u_left, v and u_right
         self.lifted = np.zeros((4, 3))
         self.lifted[0, 0], self.lifted[1, 1] = 1 / fu, 1 / fv
         self.lifted[3, 0], self.lifted[3, 2] = 1 / self.fb, -1 / self.fb
 
-    def _predict(self, after_T_before):
+    def _predict(self, after_T_before, point=None):
         """Residual (P, 3) px, its Jacobian (P, 3, 4) by the moved homogeneous point, and that point (P, 4)."""
-        T = after_T_before[self.step]
-        q = np.empty((len(self.ray), 4))
-        q[:, :3] = np.matvec(T[:, :3, :3], self.ray) + T[:, :3, 3] * self.inverse_depth[:, None]
-        q[:, 3] = self.inverse_depth
+        q = np.matvec(after_T_before[self.step], self.point if point is None else point)
         depth = np.maximum(q[:, 2], 0.05)  # relative to the first frame's; a point that came 20 times nearer is wrong
         (fu, fv), fb = self.focal, self.fb
         u, v, disparity = fu * q[:, 0] / depth, fv * q[:, 1] / depth, fb * q[:, 3] / depth
@@ -177,20 +174,26 @@ class _Problem:
         return self.measured - predicted, slope, q
 
     def whitener(self, after_T_before):
-        """Inverse Cholesky factor (P, 3, 3) of each residual's covariance for a pixel noise of 1 px."""
+        """Inverse Cholesky factor (P, 3, 3) of each residual's covariance for a pixel noise of 1 px.
+
+        Also (P, 4, 3): how far each whitened residual moves the first frame's point [ray, inverse depth].
+        """
         _, slope, _ = self._predict(after_T_before)
         G = slope @ after_T_before[self.step] @ self.lifted
         S = (G * _UNIT_COVARIANCE) @ G.mT
         S[:, range(3), range(3)] += _UNIT_COVARIANCE
-        return np.linalg.inv(np.linalg.cholesky(S))
+        whitener = np.linalg.inv(np.linalg.cholesky(S))
+        return whitener, self.lifted * _UNIT_COVARIANCE @ (whitener @ G).mT
 
-    def whitened(self, after_T_before, whitener):
+    def whitened(self, after_T_before, whitener, gain):
         """Residuals (P, 3) and Jacobians (P, 3, 6) by the left perturbation of the motion, both of unit noise."""
-        residual, slope, q = self._predict(after_T_before)
+        residual = np.matvec(whitener, self._predict(after_T_before)[0])
+        # At the noisy point the Jacobian's own noise would draw the motion towards none (errors in variables)
+        _, slope, q = self._predict(after_T_before, self.point + np.matvec(gain, residual))
         moved = np.zeros((len(q), 4, 6))  # odot of a homogeneous point: [w I, -q^]
         moved[:, range(3), range(3)] = q[:, 3:]
         moved[:, :3, 3:] = -se3.so3_hat(q[:, :3])
-        return np.matvec(whitener, residual), whitener @ (slope @ moved)
+        return residual, whitener @ (slope @ moved)
 
     def distance2(self, after_T_before, whitener):
         """Squared Mahalanobis distance (P,) of each pair for a pixel noise of 1 px."""

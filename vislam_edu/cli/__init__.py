@@ -21,6 +21,7 @@ COMMANDS = {  # each a module of this package: what it does
     "run": "the report's pipeline over a recording: figures, trajectories, numbers",
     "info": "what is in a recording",
     "audit": "compare a recording's sensors with each other, before it is filtered",
+    "track": "make a recording's tracks from its images",
     "simulate": "make a recording with ground truth: a street loop",
     "consistency": "the filters over many simulated drives: are their covariances honest?",
 }
@@ -59,7 +60,7 @@ def dispatch(argv) -> int:
     return import_module(f".{arguments.command}", arguments.package).run(arguments)
 
 
-def main(argv=None, do=dispatch) -> int:
+def main(argv=None, do=None) -> int:
     """The command line. Returns the exit status; bad input is one line on stderr, never a traceback.
 
     do : function of the list of arguments that does what they ask for and returns the exit status.
@@ -69,7 +70,7 @@ def main(argv=None, do=dispatch) -> int:
             stream.reconfigure(errors="replace")  # a terminal without the letters of a name shows question marks
     try:
         with _terminable():
-            return do(sys.argv[1:] if argv is None else list(argv))
+            return (do or dispatch)(sys.argv[1:] if argv is None else list(argv))
     except KeyboardInterrupt as error:
         return _stopped(f"interrupted; {str(error) or 'nothing was written'}", INTERRUPTED)
     except OSError as error:

@@ -50,14 +50,31 @@ def add_recording(parser):
                         help="npz or npy file of a drive, or the name of one in data/ (default: street_loop)")
     parser.add_argument("--ground-truth", type=Path, metavar="FILE",
                         help="true poses of the left camera: KITTI (12 numbers a row) or TUM "
-                             "(time x y z qx qy qz qw)")
+                             "(time x y z qx qy qz qw); or of the IMU: csv of EuRoC or TUM-VI")
+    parser.add_argument("--extrinsics", metavar="READING",
+                        help="how to read extL_T_imu and extR_T_imu: imu_T_regular, optical_T_imu, imu_T_optical or "
+                             "regular_T_imu (default: as the numbers say)")
+    parser.add_argument("--from", type=whole(0), metavar="FRAME", dest="first", default=0,
+                        help="first frame to use (default: 0)")
+    parser.add_argument("--to", type=whole(1), metavar="FRAME", dest="stop",
+                        help="frame to stop before (default: the end)")
 
 
 def read_recording(arguments):
     """The `Drive` that `add_recording` asked for. Raises DriveError when it cannot be used."""
     from .. import recordings  # here, or --help would load numpy and scipy first
 
-    drive = recordings.load(arguments.recording)
+    drive = recordings.load(arguments.recording, arguments.extrinsics)
     if arguments.ground_truth is not None:
         drive = recordings.load_ground_truth(arguments.ground_truth, drive)
+    if (arguments.first, arguments.stop) != (0, None):
+        drive = drive.slice(arguments.first, arguments.stop)
     return drive
+
+
+def ground_truth_doubts(arguments, drive) -> list[str]:
+    """What speaks against the file given with --ground-truth: a sentence, or none."""
+    from ..audit import ground_truth_checks
+
+    doubt = ground_truth_checks.doubt(drive) if arguments.ground_truth is not None else None
+    return [] if doubt is None else [f"{arguments.ground_truth}: {doubt}"]

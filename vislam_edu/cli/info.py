@@ -1,6 +1,8 @@
 """`python -m vislam_edu info`: what is in a recording."""
 
-from .arguments import add_recording, read_recording
+import sys
+
+from .arguments import add_recording, ground_truth_doubts, read_recording
 
 
 def add_arguments(parser):
@@ -12,5 +14,8 @@ def run(arguments):
     """Print what is in the recording; returns the exit status."""
     from . import outputs
 
-    print(outputs.description(read_recording(arguments)))
+    drive = read_recording(arguments)
+    print(outputs.description(drive))
+    for doubt in ground_truth_doubts(arguments, drive):
+        print(f"warning: {doubt}", file=sys.stderr)
     return 0

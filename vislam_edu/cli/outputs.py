@@ -15,6 +15,7 @@ from ..error_state import RightPerturbation
 from ..plots import report_figures, style
 from ..plots.graph import draw_batch
 from ..recordings.files import part_of
+from ..studies import pipeline
 
 PNG = style.PNG | {"pil_kwargs": {"compress_level": 3}}  # 2 % more bytes than 6, the default, in a third of the time
 
@@ -36,8 +37,8 @@ def summary(result, smoothed=None, lens=None, warnings=()) -> dict:
     alignment), ate_m (after SE(3) alignment) and KITTI drift, of the left camera as in the benchmark, NaN for drives
     under 100 m; those of dead reckoning carry its name. With a batch estimate its seconds, iterations and the same
     errors, under its name; `batch` says how it ended and what it claims, see `_ending`. Where pixels were
-    corrected, lens_px and lens_sigma_px: the numbers of that `lens.Lens`. Last, as lists of
-    sentences, changed (what was done to the recording) and warnings (what speaks against the result).
+    corrected, lens_px and lens_sigma_px: the numbers of that `lens.Lens`. Last, as lists of sentences, changed
+    (what was done to the recording) and warnings (what speaks against the result, those given first).
     """
     drive, slam = result.drive, result.slam
     numbers = {
@@ -71,8 +72,9 @@ def summary(result, smoothed=None, lens=None, warnings=()) -> dict:
         numbers["batch"] = _ending(smoothed.solution)
     if lens is not None:
         numbers |= {"lens_px": lens.px, "lens_sigma_px": lens.sigma_px}
-    warnings = [*warnings, *result.warnings, *(smoothed.warnings if smoothed is not None else [])]
-    return numbers | {"changed": list(drive.history), "warnings": warnings}
+    numbers["recommended"] = "dead reckoning" if pipeline.has_few_tracks(drive) else "filter"
+    found = [*warnings, *result.warnings, *(smoothed.warnings if smoothed is not None else [])]
+    return numbers | {"changed": list(drive.history), "warnings": found}
 
 
 def _ending(solution):
@@ -135,7 +137,7 @@ def table(numbers) -> str:
 
 
 def _short(value):
-    return str(value) if isinstance(value, int) else f"{value:.4g}"
+    return str(value) if isinstance(value, int | str) else f"{value:.4g}"
 
 
 def _strict(value):
@@ -148,24 +150,29 @@ def _strict(value):
 def write(result, folder, smoothed=None, lens=None, warnings=()):
     """Write all that `python -m vislam_edu run` promises into an empty folder. Returns the summary.
 
-    summary.json, null for NaN. kitti/trajectory.txt and tum/trajectory.txt, poses of the left camera in the
-    frame of the first one (KITTI's convention). result.npz: poses of the IMU, covariances of right
-    perturbations [position m, rotation rad] (pose_covariance: without calibration error; calibration_covariance: that
-    error alone, where it was asked for), and the landmarks (m, world) that the filter used, with ids and
-    covariances. fig1_... to fig7_... .png. smoothed : `pipeline.Smoothed` or None; its poses and landmarks are then in
-    result.npz too, and fig8_batch.png compares the paths. lens : `lens.Lens` that corrected the pixels, or None; it is
-    written to lens.json. warnings : sentences to put before the summary's own.
+    summary.json, null for NaN. kitti/trajectory.txt and tum/trajectory.txt, poses of the left camera (as
+    mounted, where the pixels were rectified) in the frame of the first one (KITTI's convention), and dead_reckoning.txt
+    beside them.
+    result.npz: poses of the IMU, covariances of right perturbations [position m, rotation rad] (pose_covariance:
+    without calibration error; calibration_covariance: that error alone, where it was asked for), and the landmarks (m,
+    world) that the filter used, with ids and covariances. fig1_... to fig7_... .png. smoothed : `pipeline.Smoothed` or
+    None; its poses and landmarks are then in result.npz too, and fig8_batch.png compares the paths. lens :
+    `lens.Lens` that corrected the pixels, or None; it is written to lens.json. warnings : sentences that come before
+    those of the result.
     """
     folder, drive, slam = Path(folder), result.drive, result.slam
     numbers = summary(result, smoothed, lens, warnings)
     (folder / "summary.json").write_text(json.dumps(_strict(numbers), indent=2) + "\n", encoding="utf-8")
     if lens is not None:
         lens.save(folder / "lens.json")
-    poses = _world_T_cam(drive, slam.trajectory)
     for layout in ("kitti", "tum"):
         (folder / layout).mkdir()
-    recordings.save_kitti(folder / "kitti" / "trajectory.txt", poses)
-    recordings.save_tum(folder / "tum" / "trajectory.txt", drive.times, poses)
+    for name, trajectory in (("trajectory", slam.trajectory), ("dead_reckoning", result.dead_reckoning)):
+        poses = _world_T_cam(drive, trajectory)
+        if drive.left_T_cam is not None:
+            poses = drive.left_T_cam @ poses @ se3.inverse(drive.left_T_cam)
+        recordings.save_kitti(folder / "kitti" / f"{name}.txt", poses)
+        recordings.save_tum(folder / "tum" / f"{name}.txt", drive.times, poses)
     np.savez_compressed(
         folder / "result.npz",
         times=drive.times,

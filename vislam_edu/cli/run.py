@@ -3,7 +3,7 @@
 import sys
 from pathlib import Path
 
-from .arguments import OptionError, add_recording, number, read_recording, whole
+from .arguments import OptionError, add_recording, ground_truth_doubts, number, read_recording, whole
 
 
 def add_arguments(parser):
@@ -11,10 +11,13 @@ def add_arguments(parser):
     add_recording(parser)
     parser.add_argument("--audit", action="store_true",
                         help="audit the recording first, apply the cures found (each is named), and run the filter for "
-                             "real drives: right-invariant, twist and gyro bias estimated, the IMU's noise as "
+                             "real drives: twist and gyro bias estimated, the IMU's noise as "
                              "measured, robust weights, tracks that slip, lengths by the IMU's speed")
     parser.add_argument("--causal", action="store_true",
                         help="with --audit: leave out the cures that need the whole drive")
+    parser.add_argument("--force", action="store_true",
+                        help="with --audit: filter also a file that is certainly read wrongly, and apply cures that "
+                             "move dead reckoning by more than its sensors can be wrong by")
     parser.add_argument("--calibration", action="store_true",
                         help="run the joint filter again with each lens parameter turned by one standard deviation, in "
                              "parallel, and add what moves to the covariance of the path")
@@ -38,16 +41,18 @@ def add_arguments(parser):
     noise.add_argument("--report-noise", action="store_true",
                        help="the report's W and V where no other value is given (overconfident: try it)")
     joint = parser.add_argument_group("the joint filter")
-    joint.add_argument("--error-state", choices=("right", "invariant"),
-                       help="what an error is: the report's right perturbation, or the right-invariant error, which "
-                            "does not believe it learned the heading (default: right; invariant with --audit)")
+    joint.add_argument("--error-state", choices=("inverse-depth", "cartesian", "right", "invariant"),
+                       help="what an error is: right-invariant with landmarks of inverse depth, or with points "
+                            "(cartesian, also called invariant), or the report's right perturbation, which believes "
+                            "that it learned the heading (default: inverse-depth; cartesian with --audit; right with "
+                            "--initialisation as-report)")
     joint.add_argument("--initialisation", choices=("correlated", "as-report"), default="correlated",
                        help="covariance of a new landmark: from its triangulation and the pose, or the "
                             "report's 2 I without correlation (default: correlated)")
     joint.add_argument("--gate", type=number(0, 1, low_allowed=False), default=0.99, metavar="P",
                        help="probability that a good measurement is believed; 1: no gate (default: 0.99)")
     joint.add_argument("--min-disparity", type=number(0), default=1.0, metavar="PX",
-                       help="below it a landmark waits for a better view (default: 1 px)")
+                       help="below it a landmark waits for a better view, but for inverse-depth (default: 1 px)")
     joint.add_argument("--every", type=whole(1), default=1, metavar="N",
                        help="use one landmark in N; the report needs 10, this filter does not (default: 1)")
     parser.add_argument("--quiet", action="store_true", help="no progress bar and no summary on the terminal")
@@ -62,28 +67,52 @@ def noise_from(arguments, base):
 
 
 def prepare(arguments):
-    """The drive to run, the noise to run it with, and options of the joint filter: as they are, or after an audit."""
+    """The drive to run, the noise to run it with, options of the joint filter, and warnings: as is, or after an audit.
+
+    Raises DriveError where the audit is certain that the file is read wrongly and `--force` is not given.
+    """
     from .. import robust
+    from ..drive import DriveError
     from ..noise import Noise
     from ..studies import pipeline, scale
 
-    drive, options = read_recording(arguments), {}
+    drive, options, warnings = read_recording(arguments), {}, []
     base = Noise.from_report() if arguments.report_noise else Noise()
     if arguments.audit:
         from ..audit import audit
 
         report = audit(drive)
-        drive = report.cured(needs_future=not arguments.causal)
-        options = {"motion_model": robust.RealDrive, "process_frame": robust.process_frame,
-                   "metre": scale.of_the_imu}
+        if report.refusal and not arguments.force:
+            raise DriveError(f"{arguments.recording}: {report.refusal}; correct the file, or take the one that "
+                             "`audit --cured FILE` writes (--force filters all the same)")
+        if report.too_far and not arguments.force:
+            warnings.append(report.too_far)
+        drive = report.cured(needs_future=not (arguments.causal or warnings))
+        options = {"motion_model": robust.RealDrive, "process_frame": robust.process_frame}
+        if not pipeline.has_few_tracks(drive):
+            options["metre"] = scale.of_the_imu
         if not arguments.report_noise:
             base = pipeline.noise_of_real_drive(report.noise)
         if not arguments.quiet:
             print(report, end="\n\n")
             print("\n".join(["applied:", *(f"    {cure}" for cure in drive.history)] if drive.history else
                             ["nothing to cure"]), end="\n\n")
-            print(scale.EXPLAINED, end="\n\n")
-    return drive.subsample(arguments.every), noise_from(arguments, base), options
+            if "metre" in options:
+                print(scale.EXPLAINED, end="\n\n")
+    return drive.subsample(arguments.every), noise_from(arguments, base), options, warnings
+
+
+def error_state_of(arguments):
+    """The `ErrorState` asked for, or what suits the run. Raises OptionError where the initialisation forbids it."""
+    from ..error_state import InverseDepth, RightInvariant, RightPerturbation
+
+    as_report = arguments.initialisation == "as-report"
+    default = "right" if as_report else "cartesian" if arguments.audit else "inverse-depth"
+    name = arguments.error_state or default
+    if as_report and name == "inverse-depth":
+        raise OptionError("run: --initialisation as-report gives a landmark 2 m^2 per axis, which an inverse depth "
+                          "does not have: take --error-state right or cartesian")
+    return {"inverse-depth": InverseDepth, "right": RightPerturbation}.get(name, RightInvariant)()
 
 
 def correct_lens(arguments, drive, noise):
@@ -132,30 +161,30 @@ def run(arguments):
 
     from .. import window_slam
     from ..drive import DriveError
-    from ..error_state import RightInvariant, RightPerturbation
     from ..studies import breakdown, pipeline
     from . import outputs
 
-    if arguments.causal and not arguments.audit:
-        raise OptionError("run: --causal says which cures to apply, so it needs --audit")
+    if (arguments.causal or arguments.force) and not arguments.audit:
+        raise OptionError("run: --causal and --force say which cures to apply, so they need --audit")
     if arguments.lens and (arguments.causal or not arguments.audit):
         raise OptionError("run: --lens needs --audit and the whole drive, so not --causal; --lens-from needs neither")
-    drive, noise, options = prepare(arguments)
-    found, lens_warnings = None, []
+    error_state = error_state_of(arguments)
+    drive, noise, options, warnings = prepare(arguments)
+    method = "report" if error_state.role == "slam" and arguments.report_noise else error_state.role
+    found = None
     if arguments.lens or arguments.lens_from:
-        drive, found, lens_warnings = correct_lens(arguments, drive, noise)
+        drive, found, doubts = correct_lens(arguments, drive, noise)
+        warnings = [*warnings, *doubts]
     problem = batch_problem(arguments, drive, noise) if arguments.batch else None
-    invariant = (arguments.error_state or ("invariant" if arguments.audit else "right")) == "invariant"
-    method = "invariant" if invariant else "report" if arguments.report_noise else "slam"
     if arguments.initialisation == "as-report":
         options["process_frame"] = window_slam.as_report
     with outputs.appearing_in(arguments.out) as folder:
         try:
             with _on_all_cores() if arguments.calibration else nullcontext():
                 result = pipeline.run_pipeline(
-                    drive, noise, RightInvariant() if invariant else RightPerturbation(), method=method,
-                    gate=arguments.gate, min_disparity=arguments.min_disparity,
-                    consider_calibration=arguments.calibration, lens_px=found and found.sigma_px,
+                    drive, noise, error_state, method=method, gate=arguments.gate,
+                    min_disparity=arguments.min_disparity, consider_calibration=arguments.calibration,
+                    lens_px=found and found.sigma_px,
                     progress=partial(tqdm, disable=arguments.quiet), **options)
         except LinAlgError as error:
             raise DriveError(f"{arguments.recording}: the filter broke down ({error}), "
@@ -164,7 +193,7 @@ def run(arguments):
             raise DriveError(f"{arguments.recording}: not finite, or with a covariance that is not positive definite: "
                              f"{', '.join(unusable)}; {breakdown.likely_reason(drive, noise)}")
         smoothed = pipeline.run_batch(problem, result.slam.trajectory.world_T_imu) if problem else None
-        numbers = outputs.write(result, folder, smoothed, found, lens_warnings)
+        numbers = outputs.write(result, folder, smoothed, found, [*ground_truth_doubts(arguments, drive), *warnings])
     if not arguments.quiet:
         print(outputs.table(numbers))
         print(f"written to {arguments.out}")

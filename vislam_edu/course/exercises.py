@@ -15,7 +15,8 @@ from .checks.surroundings import remember
 
 __all__ = ["EXERCISES", "check", "hint", "solution"]
 
-CHAPTERS = ("ch01", "ch02", "ch03", "ch04", "ch05", "ch06", "ch07", "ch08", "ch09", "ch10", "ch11", "ch12", "ch13")
+CHAPTERS = ("ch01", "ch02", "ch03", "ch04", "ch05", "ch06", "ch07", "ch08", "ch09", "ch10", "ch11", "ch12", "ch13",
+            "ch15", "ch16")
 
 for chapter in CHAPTERS:
     import_module(f".{chapter}.exercises", __package__)  # registers its exercises

@@ -27,9 +27,9 @@ from .drawing import (
     view_around,
     view_with_outlines,
 )
-from .style import show_source, table, two_digits
+from .text import on_a_page, show_source, table, two_digits
 
 __all__ = ["TWO_SIDED_95", "WIDTH", "draw_ellipses", "draw_inset", "draw_landmarks", "draw_position_ellipses",
            "draw_trajectory", "draw_truth", "finish", "heading", "heading_band", "heading_error", "heading_sigma",
-           "inside", "new_figure", "new_map", "plane_sigma", "position_covariance", "position_outlines", "show_source",
-           "table", "trajectories", "two_digits", "view_around", "view_with_outlines"]
+           "inside", "new_figure", "new_map", "on_a_page", "plane_sigma", "position_covariance", "position_outlines",
+           "show_source", "table", "trajectories", "two_digits", "view_around", "view_with_outlines"]

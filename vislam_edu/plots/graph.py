@@ -60,7 +60,10 @@ def draw_batch(result, world_T_imu):
 
 
 def over_time(times, lines, ylabel, title, **scales):
-    """Numbers through time. lines : {key of `style.COLOURS`: (T,)}. scales : of `Axes.set`. Returns a Figure."""
+    """Numbers through time. lines : {key of `style.COLOURS`: (T,)}. Returns a Figure.
+
+    scales : for `matplotlib.axes.Axes.set`.
+    """
     figure, axes = drawing.new_figure(2.6)
     for name, values in lines.items():
         axes.plot(times - times[0], values, **style.line(name))

@@ -5,11 +5,8 @@ readers, or else in line style. What is drawn as an Image in a notebook is also 
 """
 
 import base64
-import inspect
 import io
-import re
 import sys
-import textwrap
 from typing import Any
 
 import numpy as np
@@ -115,8 +112,6 @@ _RC: dict[Any, Any] = {
     "image.cmap": "cividis",
 }
 
-PAGE = 100  # characters of a line that JupyterLab shows whole
-
 # For savefig: the name of matplotlib's version would make files differ that show the same.
 PNG: dict[str, Any] = {"metadata": {"Software": None}}
 
@@ -190,35 +185,8 @@ def _scales(y, x) -> str:
 
 
 def line(method):
-    """Keyword arguments of `Axes.plot` for a method: colour, line style and label."""
+    """Keyword arguments of `matplotlib.axes.Axes.plot` for a method: colour, line style and label."""
     return {"color": COLOURS[method], "linestyle": LINESTYLES[method], "label": LABELS.get(method, method)}
-
-
-def two_digits(x) -> str:
-    """A number below a million to two significant digits, without an exponent: the third depends on the machine."""
-    return f"{float(f'{x:.2g}'):g}"
-
-
-def table(columns, rows) -> None:
-    """Print a table: the first column to the left, the others to the right.
-
-    columns : dict from each heading to the format of its values, as in f"{value:.2f}". rows : one value a column.
-    """
-    lines = [list(columns)]
-    lines += [[format(value, form) for value, form in zip(row, columns.values(), strict=True)] for row in rows]
-    widths = [max(map(len, column)) for column in zip(*lines)]
-    for first, *others in lines:
-        texts = [first.ljust(widths[0]), *(text.rjust(width) for text, width in zip(others, widths[1:]))]
-        print("   ".join(texts).rstrip())
-
-
-def on_a_page(text) -> str:
-    """A text whose long lines are broken between words, as JupyterLab would break them anywhere."""
-    broken = []
-    for line in text.splitlines():
-        indent = line[:len(line) - len(line.lstrip())] + "  "
-        broken.append(textwrap.fill(line, PAGE, subsequent_indent=indent) if len(line) > PAGE else line)
-    return "\n".join(broken)
 
 
 def ellipse_points(mean, covariance, probability=0.95, n=60):
@@ -238,10 +206,3 @@ def ellipse_points(mean, covariance, probability=0.95, n=60):
     circle = np.stack([np.cos(angle), np.sin(angle)])
     outline = (axes * radii[..., None, :]) @ circle
     return np.asarray(mean, dtype=float)[..., None, :] + np.swapaxes(outline, -1, -2)
-
-
-def show_source(*functions) -> None:
-    """Print the code of functions of the package, without their docstrings."""
-    for function in functions:
-        lines = inspect.getsource(function).rstrip()
-        print(re.sub(r'    """.*?"""\n', "", lines, count=1, flags=re.DOTALL), end="\n\n")

@@ -4,6 +4,6 @@ Here lives what turns bytes into a validated `Drive` and back, without running a
 one way in which the package writes files (whole or not at all). What a recording means is not known here.
 """
 
-from .layouts import find, load, load_ground_truth, save, save_kitti, save_tum
+from .layouts import find, load, load_ground_truth, load_imu, save, save_kitti, save_tum
 
-__all__ = ["find", "load", "load_ground_truth", "save", "save_kitti", "save_tum"]
+__all__ = ["find", "load", "load_ground_truth", "load_imu", "save", "save_kitti", "save_tum"]

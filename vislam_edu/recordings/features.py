@@ -15,7 +15,8 @@ def drive_from_features(times: np.ndarray, twists: np.ndarray, features: np.ndar
                         **fields: Any) -> Drive:
     """A drive from the course's dense array.
 
-    features : (4, M, T) px; an observation is missing when all its four numbers are NaN or all are -1.
+    features : (4, M, T) px; an observation is missing when all its four numbers are NaN or all are -1;
+    a landmark that comes back after a gap becomes another one.
     Other arguments as for `Drive`. The array is read in pieces, so little memory is needed beyond it.
     Raises DriveError also for an observation of which only some of the four numbers are missing.
     """
@@ -27,8 +28,7 @@ def drive_from_features(times: np.ndarray, twists: np.ndarray, features: np.ndar
     if features.dtype.kind not in "fiu":
         raise DriveError(f"features: holds {features.dtype}, expected numbers")
     frame, landmark, pixels = _sparse(features)
-    return Drive(times=times, twists=twists, camera=camera, landmark=landmark, pixels=pixels,
-                 frame_start=np.searchsorted(frame, np.arange(n_frames + 1)), n_landmarks=features.shape[1], **fields)
+    return _drive(times, twists, camera, frame, landmark, pixels, features.shape[1], fields)
 
 
 def drive_from_pieces(times: np.ndarray, twists: np.ndarray, features: tuple[tuple[int, ...], Iterator[np.ndarray]],
@@ -63,13 +63,33 @@ def drive_from_pieces(times: np.ndarray, twists: np.ndarray, features: tuple[tup
     if not np.isfinite(pixels).all():
         return None
     landmark, frame = np.divmod(index[0], n_frames)
-    order = np.argsort(frame, kind="stable")  # stable: landmarks stay ascending within a frame
+    return _drive(times, twists, camera, frame, landmark, pixels, shape[1], fields)
+
+
+def _drive(times: np.ndarray, twists: np.ndarray, camera: StereoCamera, frame: np.ndarray, landmark: np.ndarray,
+           pixels: np.ndarray, n_landmarks: int, fields: dict[str, Any]) -> Drive:
+    """The drive of observations in any order; where a landmark comes back, a new one begins, numbered after all others.
+
+    A `Drive`'s tracks have no gaps: the filter drops a landmark that is out of view.
+    """
+    order = np.lexsort((frame, landmark))
+    frame, landmark, pixels = frame[order], landmark[order], pixels[order]
+    same = np.diff(landmark, prepend=-1) == 0
+    returns = np.cumsum(same & (np.diff(frame, prepend=0) > 1))
+    before = returns[np.flatnonzero(~same)][np.cumsum(~same) - 1]  # returns of all landmarks up to this one's start
+    landmark = np.where(returns > before, n_landmarks - 1 + returns, landmark)
+    new = int(returns.max(initial=0))
+    if new:
+        said = f"tracks with gaps: {new} times a landmark comes back, each time as a new one"
+        fields = fields | {"history": (*fields.get("history", ()), said)}
+    order = np.lexsort((landmark, frame))
     return Drive(times=times, twists=twists, camera=camera, landmark=landmark[order], pixels=pixels[order],
-                 frame_start=np.searchsorted(frame[order], np.arange(n_frames + 1)), n_landmarks=shape[1], **fields)
+                 frame_start=np.searchsorted(frame[order], np.arange(np.size(times) + 1)),
+                 n_landmarks=n_landmarks + new, **fields)
 
 
 def _sparse(features: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Frame (N,), landmark (N,) and pixels (N, 4) of all observations, by frame, then by landmark."""
+    """Frame (N,), landmark (N,) and pixels (N, 4) of all observations."""
     _, n_landmarks, n_frames = features.shape
     step = max(1, _CHUNK // max(1, n_frames))
     found = [(np.empty(0, int), np.empty(0, int), np.empty((0, 4)))]
@@ -90,5 +110,4 @@ def _sparse(features: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
                              f"{pixels[row].tolist()}, expected finite numbers")
         found.append((k, start + i, pixels))
     frame, landmark, pixels = (np.concatenate(parts) for parts in zip(*found))
-    order = np.argsort(frame, kind="stable")  # stable: landmarks stay ascending within a frame
-    return frame[order], landmark[order], pixels[order]
+    return frame, landmark, pixels

@@ -27,6 +27,12 @@ from . import unpickling
 
 LARGEST = 3 << 29  # bytes of all arrays of a file together: dataset 10, the largest of the course, has 1.3e9
 PIECE = 1 << 20  # numbers read at a time
+_NOT_RECORDINGS = {  # first bytes of files that are met in place of a recording
+    b"MATLAB": "a MATLAB file; read it with scipy.io.loadmat and store its arrays with numpy.savez",
+    b"\x89HDF": "an HDF5 or MATLAB 7.3 file; store its arrays with numpy.savez",
+    b"version https://git-lfs": "a Git LFS pointer, not the recording itself; fetch that with: git lfs pull",
+    b"<": "a web page (HTML or XML), not the recording itself; download the file behind it",
+}
 _READ_HEADER = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
 
 
@@ -34,6 +40,10 @@ def shown(text: object, most: int = 200) -> str:
     """Text from a file as it may be printed: one line, no control characters, at most `most` characters."""
     line = "".join(c if c.isprintable() else "?" for c in " ".join(str(text).split()))
     return line if len(line) <= most else line[:most - 3] + "..."
+
+
+def _kind(dtype: np.dtype) -> str:
+    return "Python objects (store them with astype(float))" if dtype.hasobject else str(dtype)
 
 
 class Fields:
@@ -65,8 +75,14 @@ class Fields:
         except ValueError as error:
             raise DriveError(f"{name}: {error}") from None
         if value.dtype.kind not in "fiu":
-            raise DriveError(f"{name}: holds {value.dtype}, expected an array of numbers")
+            raise DriveError(f"{name}: holds {_kind(value.dtype)}, expected an array of numbers")
         return value
+
+    def empty(self, name):
+        """Whether the file has nothing under this name: None, or a list or an array without an entry."""
+        if isinstance(self._mapping, _Members):
+            return False
+        return self._mapping[name] is None or np.size(self._mapping[name]) == 0
 
     def pieces(self, name):
         """Shape of an array of numbers, and its numbers a piece at a time, the last index running fastest.
@@ -75,8 +91,9 @@ class Fields:
         """
         if not isinstance(self._mapping, _Members):
             return None
+        key = self.key(name)
         with errors_name_field(name):
-            shape, fortran, dtype, pieces = self._mapping.pieces(self.key(name))
+            shape, fortran, dtype, pieces = self._mapping.pieces(key)
         return None if fortran or dtype.kind not in "fiu" else (shape, _guarded(name, pieces))
 
     def number(self, name):
@@ -133,16 +150,20 @@ def open_regular(path: Path) -> BinaryIO:
 
 @contextmanager
 def open_fields(path):
-    """The fields of an npz, or of a .npy that holds a pickled dictionary."""
+    """The fields of an npz, of a .npy that holds a pickled dictionary, or of a bare pickle of one."""
     with open_regular(path) as file:
-        if file.read(6) == b"\x93NUMPY":
-            file.seek(0)
-            yield Fields(_pickled_dictionary(file))
+        start = file.read(64).lstrip(b"\xef\xbb\xbf \t\r\n")
+        file.seek(0)
+        if start.startswith((b"\x93NUMPY", b"\x80")):
+            yield Fields(_pickled_dictionary(file, bare=start[:1] == b"\x80"))
             return
+        for first, what in _NOT_RECORDINGS.items():
+            if start.startswith(first):
+                raise DriveError(f"is {what}")
         try:
             archive = zipfile.ZipFile(file)
-        except Exception as error:  # a damaged archive can raise anything
-            raise DriveError(f"neither an npz nor a npy file, or cut short ({type(error).__name__})") from None
+        except Exception:  # a damaged archive can raise anything
+            raise DriveError("neither an npz nor a npy file, or cut short") from None
         with archive:
             yield Fields(_Members(archive))
 
@@ -179,10 +200,11 @@ class _Members(Mapping):
         """Shape, whether in Fortran order and dtype of a member, and its numbers piece by piece, as they are stored."""
         info = self.infos[name]
         with self.archive.open(info) as member:
-            shape, fortran, dtype = _header(member)
+            shape, fortran, dtype = npy_header(member)
             start = member.tell()
         if dtype.kind not in "fiubUS" or not 0 <= prod(shape) * dtype.itemsize <= info.file_size:
-            raise DriveError(f"holds {dtype} of shape {shape} in {info.file_size} bytes, expected an array of numbers")
+            raise DriveError(f"holds {_kind(dtype)} of shape {shape} in {info.file_size} bytes, expected an array of "
+                             "numbers")
         return shape, fortran, dtype, self._read(info, start, dtype, prod(shape))
 
     def _read(self, info: zipfile.ZipInfo, start: int, dtype: np.dtype, count: int) -> Iterator[np.ndarray]:
@@ -196,16 +218,16 @@ class _Members(Mapping):
                 count -= len(raw) // dtype.itemsize
 
 
-def _header(file) -> tuple[tuple[int, ...], bool, np.dtype]:
+def npy_header(file) -> tuple[tuple[int, ...], bool, np.dtype]:
     """Shape, whether in Fortran order, and dtype of an npy file, read from its start."""
     with warnings.catch_warnings():
         warnings.simplefilter("error")  # headers of Python 2 warn
         return _READ_HEADER[np.lib.format.read_magic(file)](file)
 
 
-def _pickled_dictionary(file):
+def _pickled_dictionary(file, bare):
     try:
-        shape, _, dtype = _header(file)
+        shape, _, dtype = ((), False, np.dtype(object)) if bare else npy_header(file)
     except Exception:  # a damaged header can raise anything
         raise DriveError("its npy header cannot be read") from None
     if not dtype.hasobject:

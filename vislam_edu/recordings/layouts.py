@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import astuple
 from pathlib import Path
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from .. import se3
-from ..drive import Drive, DriveError
+from ..drive import LARGEST, Drive, DriveError
+from ..imu import ImuNoise
+from ..inertial import ImuSamples
 from ..stereo import StereoCamera
+from . import extrinsics as mounting
 from . import files, shipped
 from .features import drive_from_features, drive_from_pieces
 
@@ -17,7 +21,7 @@ _FORMAT = "vislam_edu drive 1"
 _LARGEST_TEXT = 64 << 20  # bytes of a ground truth file: a hundred thousand poses take 25 MB
 
 
-def load(name) -> Drive:
+def load(name, extrinsics: str | None = None) -> Drive:
     """Read a recording, given its path, or the name of a file of `find` (with or without .npz or .npy).
 
     Layouts, told apart by their keys:
@@ -28,16 +32,25 @@ def load(name) -> Drive:
     - what `save` writes.
 
     Extrinsics are taken as their key says: a_T_b maps b coordinates to a coordinates. Whether the numbers
-    agree is for `audit` to find out. Rotations with only a few digits are projected to SO(3).
+    agree is for `audit` to find out. Rotations with only a few digits are projected to SO(3). Only `extL_T_imu` and
+    `extR_T_imu` are read in four ways, and the numbers decide (`extrinsics.mounted`), unless `extrinsics` names one:
+    "imu_T_regular", "optical_T_imu", "imu_T_optical" or "regular_T_imu" (regular: x forward, y left, z up). Pixels of
+    cameras that are not parallel, or have two K, are rectified; the drive's `left_T_cam` and `history` then say so.
+    A landmark that comes back after a gap becomes a new one: the filter drops what is out of view.
     Raises DriveError (a ValueError) naming the file, the field and what is wrong with it.
     """
     path = _resolved(name)
     with files.errors_name(path), files.open_fields(path) as fields:
+        newest = "v_t" in fields or "extL_T_imu" in fields
+        if extrinsics is not None and not newest:
+            raise DriveError("extrinsics: can be chosen only for a file with extL_T_imu and extR_T_imu")
         if "format" in fields:
             return _own_drive(fields)
+        if "cam_imgs_L" in fields:
+            raise DriveError("holds images, not a recording; `vislam_edu track` makes tracks from them")
         name = {"name": path.stem, "source": f"UCSD ECE276A, {path.name}"}
-        if "v_t" in fields or "extL_T_imu" in fields:
-            return _pickled_layout(fields, name)
+        if newest:
+            return _pickled_layout(fields, name, extrinsics)
         return _npz_layout(fields, name)
 
 
@@ -50,7 +63,10 @@ def save(drive, path):
     fields = {"format": _FORMAT, "K": camera.K, "baseline": camera.baseline, "cam_T_imu": camera.cam_T_imu,
               "n_landmarks": drive.n_landmarks, "history": np.array(drive.history, dtype=str)}
     fields |= {key: getattr(drive, key) for key in (*_OWN_ARRAYS, *_OWN_TEXTS)}
-    fields |= {key: getattr(drive, key) for key in _OWN_TRUTH if getattr(drive, key) is not None}
+    fields |= {key: getattr(drive, key) for key in _OWN_OPTIONAL if getattr(drive, key) is not None}
+    if drive.imu is not None:
+        fields |= {f"imu_{key}": getattr(drive.imu, key) for key in _OWN_IMU}
+        fields["imu_noise"] = np.array(astuple(drive.imu.noise))
     with files.replacing(path) as file:
         np.savez_compressed(file, **fields)
 
@@ -82,20 +98,47 @@ def load_ground_truth(path, drive) -> Drive:
     KITTI: 12 numbers a row, the upper 3 x 4 of the pose. Row k belongs to frame k, so slice a drive after
     this, not before; there may be fewer rows than frames.
     TUM: `time x y z qx qy qz qw` a row. A frame takes the row nearest in time if it is within half a frame.
+    EuRoC, TUM-VI: rows with commas, `time [ns], x, y, z, qw, qx, qy, qz` and perhaps velocity and biases (8 or 17
+    numbers): poses of the IMU, from which those of the camera are made.
     Times are absolute, or count from the drive's start when absolute ones would not overlap the drive.
     Lines that start with # are skipped. Frames without a row get NaN.
+    Whether the poses can be those of this drive is for `audit.ground_truth_checks.doubt` to find out.
     Raises DriveError naming the file and the line or row.
     """
     path = Path(path)
     with files.errors_name(path):
-        rows = _read_rows(path)
+        rows, commas = rows_of_numbers(path)
+        if commas and rows.shape[1] in (8, 17):
+            rows = np.column_stack([rows[:, 0] / 1e9, rows[:, 1:4], rows[:, 5:8], rows[:, 4]])
+            poses = _tum_poses(rows, drive) @ drive.camera.imu_T_cam
+            return drive.replace(truth_world_T_cam=poses, truth_landmarks=None)
         if rows.shape[1] == 12:
             poses = _kitti_poses(rows, drive)
         elif rows.shape[1] == 8:
             poses = _tum_poses(rows, drive)
         else:
-            raise DriveError(f"{rows.shape[1]} numbers a row, expected 12 (KITTI) or 8 (TUM)")
+            raise DriveError(f"{rows.shape[1]} numbers a row, expected 12 (KITTI), 8 (TUM), or 8 or 17 with commas "
+                             "(csv of EuRoC and TUM-VI)")
+        if drive.left_T_cam is not None:
+            poses = poses @ drive.left_T_cam
         return drive.replace(truth_world_T_cam=poses, truth_landmarks=None)
+
+
+def load_imu(path, drive) -> Drive:
+    """The drive with the samples of a gyro and an accelerometer from a text file in EuRoC's layout (imu0/data.csv).
+
+    A row is `time in ns, gyro x y z in rad/s, accelerometer x y z in m/s^2`, with commas; lines that start with # are
+    skipped. The times are those of the drive's clock. EuRoC's samples are values at an instant: the mean of two
+    neighbours takes the place of each, as a sample here lasts until the next one.
+    Raises DriveError naming the file and the line.
+    """
+    path = Path(path)
+    with files.errors_name(path):
+        rows = rows_of_numbers(path)[0]
+        if rows.shape[1] != 7:
+            raise DriveError(f"{rows.shape[1]} numbers a row, expected 7 (EuRoC: time in ns, gyro, accelerometer)")
+        values = np.concatenate([(rows[:-1, 1:] + rows[1:, 1:]) / 2, rows[-1:, 1:]])
+        return drive.replace(imu=ImuSamples(rows[:, 0] / 1e9, values[:, :3], values[:, 3:]))
 
 
 def save_kitti(path, poses):
@@ -114,7 +157,8 @@ def save_tum(path, times, poses):
 
 _OWN_ARRAYS = ("times", "twists", "frame_start", "landmark", "pixels")
 _OWN_TEXTS = ("name", "source", "imu_sample")
-_OWN_TRUTH = ("truth_world_T_cam", "truth_landmarks")
+_OWN_IMU = ("times", "gyro", "accelerometer")
+_OWN_OPTIONAL = ("truth_world_T_cam", "truth_landmarks", "left_T_cam")
 
 
 def _npz_layout(fields, name):
@@ -129,21 +173,13 @@ def _npz_layout(fields, name):
     return _dense_drive(times, twists, fields, camera, name)
 
 
-def _pickled_layout(fields, name):
+def _pickled_layout(fields, name, extrinsics):
     times = _times(fields, "timestamps")
     twists = np.hstack([_samples(fields, key, len(times)) for key in ("v_t", "w_t")])
-    K, K_right = fields.numbers("K_l"), fields.numbers("K_r")
-    if K.shape != K_right.shape or not np.allclose(K, K_right, rtol=1e-3):
-        raise DriveError("K_r: differs from K_l; expected a rectified stereo pair, whose cameras share one K")
-    left_T_imu, right_T_imu = (_rigid(key, fields.numbers(key)) for key in ("extL_T_imu", "extR_T_imu"))
-    left_T_right = left_T_imu @ se3.inverse(right_T_imu)
-    # Rectified pixels belong to parallel cameras. Extrinsics measured before the rectification may differ
-    # from that by a degree (KITTI-360's do); more than a few mean that they belong to something else.
-    baseline, *offset = left_T_right[:3, 3]
-    if baseline <= 0 or max(map(abs, offset)) > 0.1 * baseline or np.trace(left_T_right[:3, :3]) < 3 - 0.01:
-        raise DriveError(f"extR_T_imu: puts the right camera at {left_T_right[:3, 3].round(3).tolist()} m in "
-                         f"the left one's frame; expected parallel cameras, the right one on the +x axis")
-    return _dense_drive(times, twists, fields, _camera(K, baseline, left_T_imu), name)
+    cameras = [_camera(fields.numbers(key), 1.0, np.eye(4), key) for key in ("K_l", "K_r")]
+    left, right = (_rigid(key, fields.numbers(key)) for key in ("extL_T_imu", "extR_T_imu"))
+    drive = _dense_drive(times, twists, fields, cameras[0], name)
+    return mounting.mounted(drive, cameras[1].K, left, right, extrinsics)
 
 
 def _own_drive(fields):
@@ -151,9 +187,17 @@ def _own_drive(fields):
         raise DriveError(f"format: {fields.text('format')!r}, expected {_FORMAT!r}")
     camera = _camera(fields.numbers("K"), fields.number("baseline"), fields.numbers("cam_T_imu"))
     values = {key: fields.numbers(key) for key in _OWN_ARRAYS}
-    values |= {key: fields.numbers(key) for key in _OWN_TRUTH if key in fields}
+    values |= {key: fields.numbers(key) for key in _OWN_OPTIONAL if key in fields}
+    if "left_T_cam" in values:
+        _rigid("left_T_cam", values["left_T_cam"])
     values |= {key: files.shown(fields.text(key)) for key in _OWN_TEXTS}
     values["n_landmarks"] = _count(fields, "n_landmarks")
+    if "imu_times" in fields:
+        noise = fields.numbers("imu_noise")
+        if noise.shape != (4,) or not (np.isfinite(noise) & (noise >= 0)).all():
+            raise DriveError(f"imu_noise: {noise.tolist()}, expected four numbers >= 0: densities and walks")
+        times, gyro, accelerometer = (fields.numbers(f"imu_{key}") for key in _OWN_IMU)
+        values["imu"] = ImuSamples(times, gyro, accelerometer, ImuNoise(*noise.tolist()))
     history = fields.text("history")
     if not isinstance(history, list) or not all(isinstance(line, str) for line in history):
         raise DriveError("history: expected a list of sentences")
@@ -169,12 +213,16 @@ def _count(fields, key):
 
 
 def _dense_drive(times, twists, fields, camera, name):
+    if "features" not in fields or fields.empty("features"):
+        raise DriveError("features: missing, so there are no tracks; if the recording has images only, "
+                         "`vislam_edu track` makes tracks from them")
     in_pieces = fields.pieces("features")
     drive = drive_from_pieces(times, twists, in_pieces, camera, **name) if in_pieces else None
     if drive is None:  # in a layout that has to be read whole, or wrong somewhere: this says where
         drive = drive_from_features(times, twists, fields.numbers("features"), camera, **name)
     if not drive.landmark.size:
-        raise DriveError("features: the recording is empty, no landmark is seen in any frame")
+        raise DriveError("features: the recording is empty, no landmark is seen in any frame; if it has images, "
+                         "`vislam_edu track` makes tracks from them")
     return drive
 
 
@@ -182,7 +230,14 @@ def _times(fields, key):
     times = fields.numbers(key)
     if times.size not in times.shape:
         raise DriveError(f"{key}: shape {times.shape}, expected (T,) or (1, T)")
-    return times.ravel().astype(float)
+    single, times = times.dtype.itemsize < 8, times.ravel().astype(float)
+    largest = np.abs(times).max(initial=0.0)
+    if largest > LARGEST["times"]:
+        raise DriveError(f"{key}: {largest:.3g}, expected seconds; milliseconds or nanoseconds must be divided first")
+    if single and (np.diff(times) <= 0).any():
+        raise DriveError(f"{key}: do not increase; they are stored in less than 64 bits, which keep {largest:.4g} s "
+                         f"only to {np.spacing(np.float32(largest)):.2g} s: store float64, or seconds since the start")
+    return times
 
 
 def _samples(fields, key, n_frames):
@@ -215,31 +270,33 @@ def _rigid(name, T):
     return se3.pose(Rotation.from_matrix(R).as_matrix(), T[..., :3, 3])
 
 
-def _camera(K, baseline, cam_T_imu):
+def _camera(K, baseline, cam_T_imu, key="K"):
     try:
         return StereoCamera(K, baseline, cam_T_imu)
     except ValueError as error:
-        raise DriveError(str(error)) from None
+        raise DriveError(str(error) if key == "K" else f"{key}: {error}") from None
 
 
-def _read_rows(path):
-    rows = []
+def rows_of_numbers(path):
+    """The numbers of a text file (n, m), and whether commas separate them."""
+    rows, commas = [], False
     with files.open_regular(path) as file:
         text = file.read(_LARGEST_TEXT + 1)
     if len(text) > _LARGEST_TEXT:
         raise DriveError(f"more than {_LARGEST_TEXT >> 20} MB, expected one row of text a frame")
-    for number, line in enumerate(text.decode("utf-8").splitlines(), start=1):
+    for number, line in enumerate(text.decode("utf-8-sig").splitlines(), start=1):
         if not line.strip() or line.lstrip().startswith("#"):
             continue
         try:
-            rows.append([float(word) for word in line.split()])
+            rows.append([float(word) for word in line.replace(",", " ").split()])
         except ValueError:
             raise DriveError(f"line {number}: {line.strip()[:60]!r} is not a row of numbers") from None
         if len(rows[-1]) != len(rows[0]) or not np.isfinite(rows[-1]).all():
             raise DriveError(f"line {number}: expected {len(rows[0])} finite numbers, as in the first row")
+        commas |= "," in line
     if not rows:
-        raise DriveError("no pose in it")
-    return np.array(rows)
+        raise DriveError("no row of numbers in it")
+    return np.array(rows), commas
 
 
 def _kitti_poses(rows, drive):

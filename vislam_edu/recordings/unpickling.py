@@ -5,6 +5,7 @@ the file's bytes before dtype, shape and size have been checked. Only opcodes th
 """
 
 import pickle
+from collections.abc import Callable
 from math import prod
 from typing import Any, BinaryIO, ClassVar
 
@@ -12,6 +13,7 @@ import numpy as np
 
 from ..drive import DriveError
 
+_LONG = 1 << 16  # bytes; Python writes longer ones outside of a pickle's frames
 _OPCODES = b"".join([
     pickle.PROTO, pickle.FRAME, pickle.STOP, pickle.MARK, pickle.POP, pickle.POP_MARK, pickle.NONE, pickle.NEWTRUE,
     pickle.NEWFALSE, pickle.INT, pickle.BININT, pickle.BININT1, pickle.BININT2, pickle.LONG, pickle.LONG1, pickle.LONG4,
@@ -55,6 +57,7 @@ class _Array:
         kind = np.dtype(dtype.order.replace("|", "=") + dtype.code)
         size = prod(shape) * kind.itemsize
         raw = data.encode("latin1") if isinstance(data, str) else data  # as Python 2 wrote it
+        raw = raw.read() if isinstance(raw, _Stored) else raw
         if not all(isinstance(n, int) and n >= 0 for n in shape) or not isinstance(raw, bytes) or len(raw) != size:
             raise DriveError(f"its pickle holds an array of shape {shape} whose bytes do not fit")
         return np.frombuffer(raw, kind).reshape(shape, order="F" if fortran else "C")
@@ -98,6 +101,58 @@ class _Unpickler(pickle._Unpickler):
         _build(self)  # type: ignore[arg-type]
 
     dispatch[pickle.BUILD[0]] = load_build
+
+
+class _Stored:
+    """Bytes that stay in the file until they are read."""
+
+    def __init__(self, file: BinaryIO, size: int) -> None:
+        self.file, self.start, self.size = file, file.tell(), size
+        file.seek(size, 1)
+
+    def read(self) -> bytes:
+        """The bytes, fewer where the file is cut short."""
+        self.file.seek(self.start)
+        return self.file.read(self.size)
+
+
+class _Lazy(_Unpickler):
+    """Leaves long bytes in the file: a list of ten thousand images takes no memory."""
+
+    dispatch: ClassVar[Any] = dict(_Unpickler.dispatch)
+
+    def __init__(self, file: BinaryIO) -> None:
+        super().__init__(file, encoding="latin1")
+        self.file = file
+
+    def _long_bytes(self, size: int) -> None:
+        in_a_frame = vars(self)["_unframer"].current_frame is not None
+        short = in_a_frame or size < _LONG
+        self.append(self.read(size) if short else _Stored(self.file, size))  # type: ignore[attr-defined]
+
+    def load_binbytes(self) -> None:
+        self._long_bytes(int.from_bytes(self.read(4), "little"))  # type: ignore[attr-defined]
+
+    def load_binbytes8(self) -> None:
+        self._long_bytes(int.from_bytes(self.read(8), "little"))  # type: ignore[attr-defined]
+
+    dispatch[pickle.BINBYTES[0]] = load_binbytes
+    dispatch[pickle.BINBYTES8[0]] = load_binbytes8
+
+
+def load_lists(file: BinaryIO, *keys: str) -> list[list[Callable[[], np.ndarray]]]:
+    """Lists of arrays of a pickled dictionary, each array a function that reads it. Raises DriveError."""
+    try:
+        value = _Lazy(file).load()
+        value = value.to_numpy() if isinstance(value, _Array) else value
+        value = value[0] if isinstance(value, list) and len(value) == 1 else value
+        lists = [value[key].to_numpy() if isinstance(value[key], _Array) else value[key] for key in keys]
+        return [[one.to_numpy for one in items] for items in lists]
+    except DriveError:
+        raise
+    except Exception as error:
+        raise DriveError(f"expected a pickled dictionary with lists of arrays {' and '.join(keys)} "
+                         f"({type(error).__name__}: {error})") from None
 
 
 def load(file: BinaryIO) -> Any:

@@ -8,7 +8,7 @@ The defaults resemble KITTI and the report's recordings: the camera, 10 m/s, abo
 tracks of 5 to 100 frames that never come back, new ones born in bursts because a tracker looks for corners
 only now and then.
 
-`python -m vislam_edu.simulate [directory]` writes the two drives that the notebooks use.
+`python -m vislam_edu.simulate.drives [directory]` writes the two drives that the notebooks use.
 """
 
 import sys
@@ -56,7 +56,7 @@ def _scene_points(rng, n, camera, image_size, depth):
     with np.errstate(divide="ignore"):
         ground = np.where(ray[:, 1] > 0, CAMERA_HEIGHT / ray[:, 1], np.inf)
         street_side = rng.uniform(5, 30, n) / np.abs(ray[:, 0])  # poles and parked cars are near, facades far
-    far_view = np.exp(rng.uniform(*np.log([25, depth[1]]), n))
+    far_view = np.exp(rng.uniform(*np.log([min(25, 5 * depth[0]), depth[1]]), n))
     return ray * np.clip(np.minimum(np.minimum(ground, street_side), far_view), *depth)[:, None]
 
 
@@ -72,8 +72,8 @@ def _with_old_places(rng, share, points, old, world_T_imu, camera, depth, image_
     return points
 
 
-def _tracks(rng, world_T_imu, camera, *, visible, life, mean_life, redetect_every, depth, image_size, returning,
-            rng_old):
+def _tracks(rng, world_T_imu, camera, *, visible, life, mean_life, redetect_every, depth, nearest, image_size,
+            returning, rng_old):
     """Landmarks (M, 3) and what is seen of them: frame (N,), landmark (N,), pixels (N, 4), in this order.
 
     At each detection so many candidates become landmarks that the number in view, averaged until the next
@@ -96,7 +96,7 @@ def _tracks(rng, world_T_imu, camera, *, visible, life, mean_life, redetect_ever
             points = _with_old_places(rng_old, returning, points, old, world_T_imu[k], camera, depth, image_size)
         pixels, in_front = camera.observe(world_T_imu_ahead, points[None])
         trackable = in_front & ((pixels > 0) & (pixels < np.tile(image_size, 2))).all(-1)
-        trackable &= pixels[..., 0] - pixels[..., 2] < camera.K[0, 0] * camera.baseline / NEAREST
+        trackable &= pixels[..., 0] - pixels[..., 2] < camera.K[0, 0] * camera.baseline / nearest
         lives = shortest + rng.exponential(max(mean_life - shortest, 0), n)
         lives = np.minimum(np.logical_and.accumulate(trackable).sum(0), lives.astype(int))
 
@@ -176,22 +176,34 @@ def perfect_street_loop(
             f"speed must be > 0, visible and redetect_every >= 1, "
             f"got {speed} m/s, {visible} and {redetect_every}"
         )
-    camera = kitti_camera() if camera is None else camera
     times = tau * np.arange(frames) + _stream(seed, _TIMES).uniform(-jitter / 2, jitter / 2, frames)
     times -= times[0]
     loop_length = max(speed * times[-1], SHORTEST_LOOP) if loop_length is None else loop_length
     world_T_imu = streets.drive_along(_stream(seed, _ROAD), times, speed, loop_length, hills, lane_change)
+    return along(world_T_imu, times, seed, visible=visible, life=life, mean_life=mean_life,
+                 redetect_every=redetect_every, depth=depth, returning=returning, camera=camera,
+                 image_size=image_size, name=name)
+
+
+def along(world_T_imu, times, seed=0, *, visible=60, life=(5, 100), mean_life=50.0, redetect_every=6,
+          depth=(5.0, 120.0), nearest=NEAREST, returning=0.0, camera=None, image_size=IMAGE_SIZE, name="path"):
+    """A noise-free `Drive` along any path: poses (T, 4, 4) at times (T,), s.
+
+    nearest : m, a tracker loses what comes closer. For the other arguments see `perfect_street_loop`. The world of
+    the ground truth is that of the poses.
+    """
+    camera = kitti_camera() if camera is None else camera
     step = se3.log(se3.inverse(world_T_imu[:-1]) @ world_T_imu[1:]) / np.diff(times)[:, None]
     landmarks, frame, landmark, pixels = _tracks(
         _stream(seed, _TRACKS), world_T_imu, camera, visible=visible, life=life, mean_life=mean_life,
-        redetect_every=redetect_every, depth=depth, image_size=image_size, returning=returning,
-        rng_old=_stream(seed, _RETURNING),
+        redetect_every=redetect_every, depth=depth, nearest=nearest, image_size=image_size,
+        returning=returning, rng_old=_stream(seed, _RETURNING),
     )
     return Drive(
         times=times,
         twists=np.concatenate([step, step[-1:]]),
         camera=camera,
-        frame_start=np.searchsorted(frame, np.arange(frames + 1)),
+        frame_start=np.searchsorted(frame, np.arange(len(times) + 1)),
         landmark=landmark,
         pixels=pixels,
         n_landmarks=len(landmarks),

@@ -75,6 +75,15 @@ def _smooth_step(u):
     return u - np.sin(2 * np.pi * u) / (2 * np.pi)
 
 
+def centre_line(loop_length):
+    """Once around at steps of 5 cm: arc length (n,) m, heading rad, curvature rad/m, and place x, y m."""
+    from scipy.integrate import cumulative_trapezoid
+
+    s = np.append(np.arange(0, loop_length, 0.05), loop_length)
+    heading, curvature = Streets(loop_length).heading(s)
+    return s, heading, curvature, *(cumulative_trapezoid(f(heading), s, initial=0) for f in (np.cos, np.sin))
+
+
 def drive_along(rng, times, speed, loop_length, hills, lane_change=0.0):
     """The poses world_T_imu (T, 4, 4) of a car that follows the streets; x east, y north, z up.
 
@@ -87,11 +96,7 @@ def drive_along(rng, times, speed, loop_length, hills, lane_change=0.0):
     """
     from scipy.integrate import cumulative_trapezoid  # here: who plants faults need not wait for scipy.integrate
 
-    s = np.arange(0, loop_length, 0.05)
-    s = np.append(s, loop_length)
-    heading, curvature = Streets(loop_length).heading(s)
-    x, y = (cumulative_trapezoid(f(heading), s, initial=0) for f in (np.cos, np.sin))
-
+    s, heading, curvature, x, y = centre_line(loop_length)
     pace = 1 - 0.5 * np.abs(curvature) * CORNER_LENGTH / np.pi
     pace *= 1 + _Waves.draw(rng, loop_length, (60, 200), 0.08)(s)
     lap_time = cumulative_trapezoid(1 / pace, s, initial=0)

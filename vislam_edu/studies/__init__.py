@@ -1,4 +1,4 @@
-"""Filters at work over whole drives: the report's pipeline, many drives, observability, and filters with one mistake.
+"""Filters over whole drives: the record of a run, the report's pipeline, consistency over many drives, observability.
 
-Here lives what runs the filters of the core and collects what they yield. Nothing here draws.
+What runs the filters of the core and collects what they yield.
 """

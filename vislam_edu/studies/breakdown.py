@@ -43,7 +43,8 @@ def likely_reason(drive: Drive, noise: Noise) -> str:
     gaps = np.diff(drive.times)
     if len(gaps) and gaps.max() > LONG_GAP:
         k = int(gaps.argmax())
-        return f"likely because of the gap of {gaps[k]:.3g} s after frame {k}: cut the recording there"
+        return (f"likely because of the gap of {gaps[k]:.3g} s after frame {k}: use the part before (--to {k + 1}) "
+                f"or after (--from {k + 1})")
     given = {name: getattr(noise, name) for name in LEAST}
     for name, value in given.items():
         if value > MOST[name]:

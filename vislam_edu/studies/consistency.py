@@ -9,8 +9,8 @@ claimed.
     summary(studies)["right_invariant"]["nees_pose"]
 
 With `out`, every drive leaves a file, and a study that was interrupted goes on where it stopped. The
-numbers depend on the seeds alone, not on the workers: every random draw comes from the seed, and `import
-vislam_edu` keeps the linear algebra of each worker to one thread. Two lines put a study on two cores, or
+numbers depend on the seeds alone, not on the workers: every random draw comes from the seed, and
+`window_slam.run` keeps the linear algebra to one thread. Two lines put a study on two cores, or
 on a cluster:
 
     with joblib.parallel_config(n_jobs=2):
@@ -30,9 +30,10 @@ from tqdm.auto import tqdm
 
 from .. import metrics, se3, window_slam
 from ..drive import DriveError
-from ..error_state import ErrorState, RightInvariant, RightPerturbation
+from ..error_state import ErrorState, InverseDepth, RightInvariant, RightPerturbation
 from ..noise import Noise
 from ..recordings import files
+from .runs import record
 
 _START = 100  # the stream of a seed that draws the filter's initial pose; simulate uses the first few
 
@@ -50,7 +51,7 @@ class FilterConfig:
 
 
 def standard_filters(noise):
-    """The four filters of the study by name, each one step further from the report's.
+    """The five filters of the study by name, each one step further from the report's.
 
     noise : Noise, what the sensors really have.
 
@@ -58,6 +59,7 @@ def standard_filters(noise):
     report              the same with the noise the sensors have
     right_perturbation  and with new landmarks that are correlated with the pose
     right_invariant     and with the right-invariant error
+    inverse_depth       and with landmarks of inverse depth
     """
     as_report = {"process_frame": window_slam.as_report}
     return {
@@ -65,6 +67,7 @@ def standard_filters(noise):
         "report": FilterConfig(noise, RightPerturbation(), as_report),
         "right_perturbation": FilterConfig(noise, RightPerturbation()),
         "right_invariant": FilterConfig(noise, RightInvariant()),
+        "inverse_depth": FilterConfig(noise, InverseDepth()),
     }
 
 
@@ -94,22 +97,20 @@ _FIELDS = ("nees_pose", "nees_rotation", "nees_position", "nis", "error", "error
 def judge(drive, candidate, world_T_imu):
     """Run one filter over one drive from a given initial pose; a dict of the fields of `Study` for this run.
 
-    drive : Drive with truth. candidate : Filter. world_T_imu : (4, 4).
+    drive : Drive with truth. candidate : FilterConfig. world_T_imu : (4, 4).
     """
     true = drive.true_world_T_imu
-    steps = list(window_slam.run(drive, candidate.noise, candidate.error_state, world_T_imu=world_T_imu,
-                          **candidate.options))
-    estimated = np.array([step.posterior.world_T_imu for step in steps])
-    covariance = np.array([step.posterior.pose_covariance for step in steps])
-    nees = metrics.pose_nees(candidate.error_state, true, estimated, covariance)
-    from_start = [se3.inverse(poses[0]) @ poses for poses in (true, estimated)]
+    run = record(window_slam.run(drive, candidate.noise, candidate.error_state, world_T_imu=world_T_imu,
+                                 **candidate.options), candidate.error_state)
+    nees = metrics.pose_nees(candidate.error_state, true, run.world_T_imu, run.covariance)
+    from_start = [se3.inverse(poses[0]) @ poses for poses in (true, run.world_T_imu)]
     return {
         "nees_pose": nees.pose,
         "nees_rotation": nees.rotation,
         "nees_position": nees.position,
-        "nis": metrics.average_nis(steps),
+        "nis": run.mean_nis,
         "error": metrics.position_errors(*from_start),
-        "error_world": metrics.position_errors(true, estimated),
+        "error_world": run.errors(true),
     }
 
 
@@ -121,7 +122,8 @@ def initial_pose(drive, candidate, seed):
     """
     rng = np.random.default_rng((seed, _START))
     error = rng.multivariate_normal(np.zeros(6), candidate.noise.initial_pose_covariance)
-    return candidate.error_state.retract(drive.true_world_T_imu[0], np.empty((0, 3)), -error)[0]
+    nobody = np.empty((0, *candidate.error_state.point_shape))
+    return candidate.error_state.retract(drive.true_world_T_imu[0], nobody, -error)[0]
 
 
 def _one_seed(make_drive, filters, seed, path, study):

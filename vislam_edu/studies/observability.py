@@ -16,15 +16,14 @@ from functools import reduce
 import numpy as np
 
 from .. import se3
-
-ROWS = [0, 1, 2]  # u_left, v, u_right: v_right repeats v_left
+from ..belief import positions
 
 
 @dataclass(frozen=True, eq=False)
 class LinearisationPoints:
     """Where Jacobians are taken in F successive frames, for n landmarks that are in the state in all of them.
 
-    world_T_imu : (F, 4, 4) and landmarks : (F, n, 3), m, world: where H_k is taken.
+    world_T_imu : (F, 4, 4) and landmarks : (F, n, ...), as in `Belief.points`: where H_k is taken.
     increments : (F-1, 4, 4): the step from frame to frame along which an error is carried on.
     """
 
@@ -41,17 +40,17 @@ def common_landmarks(steps):
 def at_estimates(steps, ids) -> LinearisationPoints:
     """The points that the filter itself used: H at the predicted state, the step from one update to the next.
 
-    steps : list of `Step` of `slam.run`, successive frames. ids : (n,), see `common_landmarks`.
+    steps : list of `Step` of `window_slam.run`, successive frames. ids : (n,), see `common_landmarks`.
     """
     priors = [step.prior for step in steps]
     poses = np.array([prior.world_T_imu for prior in priors])
-    landmarks = np.array([prior.landmarks[np.searchsorted(prior.ids, ids)] for prior in priors])
+    landmarks = np.array([prior.points[np.searchsorted(prior.ids, ids)] for prior in priors])
     updated = np.array([step.posterior.world_T_imu for step in steps])
     return LinearisationPoints(poses, landmarks, se3.inverse(updated[:-1]) @ poses[1:])
 
 
 def at_truth(drive, frames, ids) -> LinearisationPoints:
-    """The points an oracle would use: the true states.
+    """The points an oracle would use: the true states, of error states whose landmarks are points of the world.
 
     drive : Drive with truth. frames : (F,) successive frames. ids : (n,).
     """
@@ -76,8 +75,7 @@ def observability_matrix(error_state, camera, points):
         if k > 0:
             F, _ = error_state.pose_transition(T, points.increments[k - 1], np.eye(6))
             Phi = F @ Phi
-        J = camera.measurement_jacobian(camera.to_cam(T, landmarks))[:, ROWS]
-        blocks[k, each, :, each, :], H_pose = error_state.jacobians(T, landmarks, J)
+        _, blocks[k, each, :, each, :], H_pose = error_state.measure(camera, T, landmarks)
         pose_columns[k] = H_pose @ Phi
     return np.concatenate([blocks.reshape(frames, 3 * n, 3 * n),
                            pose_columns.reshape(frames, 3 * n, 6)], axis=-1)
@@ -102,17 +100,17 @@ def rank_by_frame(matrix, tolerance=1e-9):
 def global_directions(error_state, world_T_imu, landmarks):
     """(3n+6, 6): the error that a shift or a turn of car and map as one amounts to; columns [shift, turn].
 
-    error_state : `ErrorState`. world_T_imu : (4, 4). landmarks : (n, 3), m, world.
+    error_state : `ErrorState`. world_T_imu : (4, 4). landmarks : (n, ...), as in `Belief.points`.
     For a twist xi of the world, T' = exp(xi^) T and m' = exp(xi^) m. These columns span what stereo and body
     twists cannot tell: every H_k Phi_k, taken at the true states, maps them to zero.
     """
     turn = np.broadcast_to(np.eye(3), (len(landmarks), 3, 3))
-    moved = np.concatenate([turn, -se3.so3_hat(landmarks)], axis=-1)
+    moved = np.concatenate([turn, -se3.so3_hat(positions(landmarks))], axis=-1)
     pose_moved = np.eye(6)
     pose_moved[:3, 3:] = -se3.so3_hat(world_T_imu[:3, 3])
     pose_error = np.linalg.solve(error_state.world_pose(world_T_imu), pose_moved)
     C = error_state.world_landmark(landmarks)
-    landmark_error = moved - C @ pose_error
+    landmark_error = np.linalg.solve(error_state.metres(landmarks), moved) - C @ pose_error
     return np.concatenate([landmark_error.reshape(-1, 6), pose_error])
 
 

@@ -15,11 +15,12 @@ import numpy as np
 
 from .. import batch, kalman, mapping, metrics, motion, odometry, window_slam
 from ..drive import Drive
-from ..error_state import RightPerturbation
+from ..error_state import RightPerturbation, world_landmark_covariance
 from ..mapping import MapBelief
 from ..noise import Noise
 from ..odometry import Trajectory
 from . import calibration, scale
+from .runs import record
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,10 +100,9 @@ class Result:
         IMU alone would.
         """
         found = self.slam.warnings(self.gate)
-        visible = self.drive.visible.mean()
-        if visible < FEW_TRACKS:
-            found.append(f"{visible:.0f} tracks in view on average where a filter of this kind needs {FEW_TRACKS}: "
-                         "dead reckoning may be the better path")
+        if has_few_tracks(self.drive):
+            found.append(f"{self.drive.visible.mean():.0f} tracks in view on average where a filter of this kind "
+                         f"needs {FEW_TRACKS}: dead reckoning is the better path")
         ends = [np.sqrt(np.trace(t.covariance[-1, :3, :3])) for t in (self.slam.trajectory, self.dead_reckoning)]
         if ends[0] > ends[1]:
             found.append(f"by its own covariance the filter ends uncertain by {ends[0]:.2g} m, dead reckoning by "
@@ -147,6 +147,11 @@ FEW_TRACKS = 10  # in view on average
 MOST_COST = 1.2  # of the batch, over the upper end of its chi-square band
 STILL = 0.05  # m: what no pose of a real drive moves in the batch's last iteration
 TRACK_SIGMA_PX = 1.0  # px. From frame to frame tracks scatter by 0.2 px, but over their life they slip.
+
+
+def has_few_tracks(drive) -> bool:
+    """Whether a drive's tracks are too few for a filter of this kind to improve on dead reckoning."""
+    return bool(drive.visible.mean() < FEW_TRACKS)
 
 
 def noise_of_real_drive(measured) -> Noise:
@@ -245,49 +250,25 @@ def collect_slam(drive, steps, error_state, method="slam") -> Slam:
     steps : of `window_slam.run(drive, ...)` with this error state. A landmark's estimate is the one it had when
     it was last in the state: on retirement, or at the end.
     """
-    T, M = drive.n_frames, drive.n_landmarks
-    poses, covariance = np.empty((T, 4, 4)), np.empty((T, 6, 6))
+    M = drive.n_landmarks
     landmarks, spread, seen = np.zeros((M, 3)), np.zeros((M, 3, 3)), np.zeros(M, bool)
-    measurements = rejected = 0
 
     def keep(belief, ids):
         rows = np.searchsorted(belief.ids, ids)
         landmarks[ids], seen[ids] = belief.landmarks[rows], True
         spread[ids] = world_landmark_covariance(belief, error_state)[rows]
 
+    def heard():
+        last = motion.start(Noise())  # nobody retires before frame 0
+        for step in steps:
+            if len(step.retired):
+                keep(last, step.retired)
+            last = step.posterior
+            yield step
+        keep(last, last.ids)
+
     begin = time.perf_counter()
-    last = motion.start(Noise())  # nobody retires before frame 0
-    for step in steps:
-        if len(step.retired):
-            keep(last, step.retired)
-        last = step.posterior
-        poses[step.k] = last.world_T_imu
-        covariance[step.k] = right_pose_covariance(last, error_state)
-        measurements += len(step.innovation.ids)
-        rejected += int(np.count_nonzero(~step.innovation.accepted))
-    keep(last, last.ids)
+    run = record(heard(), error_state)
     seconds = time.perf_counter() - begin
-    return Slam(Trajectory(drive.times, poses, covariance), MapBelief(landmarks, spread, seen),
-                measurements, rejected, seconds, method)
-
-
-def world_landmark_covariance(belief, error_state):
-    """(n, 3, 3) m^2: covariance of each landmark's position in the world, whatever the filter calls an error.
-
-    With m - m_hat = x_m + C x_pose it is P_mm + C P_pm + P_mp C^T + C P_pp C^T.
-    """
-    P_mm = belief.landmark_covariance
-    C = error_state.world_landmark(belief.landmarks)
-    if not C.any():
-        return P_mm
-    Ct = np.swapaxes(C, -1, -2)
-    P_mp = belief.covariance[:3 * len(belief.ids), belief.pose].reshape(-1, 3, 6)
-    cross = P_mp @ Ct
-    return P_mm + cross + np.swapaxes(cross, -1, -2) + C @ belief.pose_covariance @ Ct
-
-
-def right_pose_covariance(belief, error_state):
-    """(6, 6) covariance of the pose as a right perturbation T exp(epsilon^), to first order."""
-    T = belief.world_T_imu
-    to_right = RightPerturbation().world_pose(T).T @ error_state.world_pose(T)  # rotations: the inverse is .T
-    return to_right @ belief.pose_covariance @ to_right.T
+    return Slam(Trajectory(drive.times, run.world_T_imu, run.right_covariance), MapBelief(landmarks, spread, seen),
+                len(run.nis), int(np.count_nonzero(~run.accepted)), seconds, method)

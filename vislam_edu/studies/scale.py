@@ -1,9 +1,9 @@
-"""Whose metre is it? The cameras measure lengths by their baseline, the IMU by its speed; both can be wrong.
+"""Scale of an estimate: the cameras measure lengths by their baseline, the IMU by its speed.
 
-Over a drive the noise of the IMU's speed averages out and what is left of it is its scale, while a stereo pair that is
-not quite calibrated loses or gains up to a per cent for good. So the path of a filter, whose shape is the cameras', can
-be given the IMU's metre. No state of the filter does this: as a state, scale takes up whatever else does not fit, and
-becomes certain of it.
+Both can be wrong. Over a drive the noise of the IMU's speed averages out and what is left of it is its scale, while
+a stereo pair that is not quite calibrated loses or gains up to a per cent for good. So the path of a filter, whose
+shape is the cameras', can be given the IMU's metre. No state of the filter does this: as a state, scale takes up
+whatever else does not fit, and becomes certain of it.
 """
 
 from dataclasses import replace

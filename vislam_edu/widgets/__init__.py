@@ -1,4 +1,4 @@
-"""What a student moves: the explorer of a filter's history, panels of sliders, and the pictures that these show.
+"""Interactive pictures: the explorer of a filter's history, panels of sliders, and the pictures that these show.
 
 Here lives everything that reacts. A widget works without a browser too, so that a test can move it.
 """

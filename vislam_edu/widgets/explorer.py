@@ -9,6 +9,7 @@ The front end is `explorer.js`, one ES module without dependencies, loaded by an
 import base64
 import json
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from html import escape
 from pathlib import Path
 from typing import Any
@@ -17,7 +18,7 @@ import anywidget
 import traitlets
 
 from ..drive import Drive
-from ..error_state import ErrorState, RightInvariant
+from ..error_state import ErrorState
 from . import explorer_still, history, packing
 from .canvas import Still
 from .history import History
@@ -57,7 +58,7 @@ class Explorer(anywidget.AnyWidget):
         generator of Steps whose beliefs are a joint `Belief`, a `MapBelief` or a `PoseBelief` (such as a filter of
         your own); or a dict {name: steps} of two runs over the same drive, which are shown side by side.
     drive : Drive that the steps were run on; its truth is drawn where it has one.
-    error_state : `ErrorState` of a joint filter, `RightPerturbation()` by default; for two runs one for both, or a
+    error_state : `ErrorState` of a joint filter, by default `error_state.fitting`; for two runs one for both, or a
         dict {name: ErrorState}.
     world_T_imu : (T, 4, 4), the poses given to a filter that estimates a map only.
     name : of the run, shown in the widget's text.
@@ -116,10 +117,10 @@ class Explorer(anywidget.AnyWidget):
                      landmark: int | None = None) -> "Explorer":
         """An explorer whose slider steps through single beliefs: iterations, pairs fused, keyframes.
 
-        labels : n texts, such as "iteration 3" or "2 pairs fused". beliefs : n of `motion.Belief` (one pose and its
+        labels : n texts, such as "iteration 3" or "2 pairs fused". beliefs : n of `belief.Belief` (one pose and its
         landmarks) or `history.PathBelief` (a whole path and its landmarks, covariances where they are known).
         name : of the estimate. unit : what one position of the slider is, such as "iteration" or "pair fused".
-        error_state : of the beliefs' covariances, `RightPerturbation()` by default.
+        error_state : of the beliefs' covariances, by default `error_state.fitting`.
         frames : n frames of the drive, those of the beliefs' (last) poses; by default its last frame.
         captions : n texts, by default what changed from one belief to the next.
         series : {name: n numbers} to be drawn below, such as the cost of each iteration. start, landmark : as above.
@@ -194,12 +195,10 @@ def _histories(steps, drive, error_state, world_T_imu, name) -> list[History]:
     states = error_state if isinstance(error_state, Mapping) else dict.fromkeys(runs, error_state)
     if not 1 <= len(runs) <= BOTH:
         raise ValueError(f"an explorer shows one run or two, got {len(runs)}")
-    colours: list[str] = []
-    for key in runs:
-        role = "invariant" if isinstance(states.get(key), RightInvariant) else "slam"
-        colours.append("report" if role in colours else role)
-    return [history.from_steps(key, one, drive, states.get(key), colour=colour, world_T_imu=world_T_imu)
-            for (key, one), colour in zip(runs.items(), colours)]
+    made = [history.from_steps(key, one, drive, states.get(key), world_T_imu=world_T_imu) for key, one in runs.items()]
+    if made[0].colour == made[-1].colour:
+        made[1:] = [replace(one, colour="report") for one in made[1:]]
+    return made
 
 
 def longest_seen(one: History) -> int:

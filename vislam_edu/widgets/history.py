@@ -13,8 +13,14 @@ import numpy as np
 from .. import kalman, metrics, se3
 from ..belief import Step
 from ..drive import Drive
-from ..error_state import ErrorState, RightInvariant, RightPerturbation
-from ..studies.pipeline import right_pose_covariance, world_landmark_covariance
+from ..error_state import (
+    ErrorState,
+    fitting,
+    right_pose_covariance,
+    to_right,
+    world_landmark_covariance,
+)
+from ..stereo import FOUR_FROM_THREE
 from .panels import nis_band
 
 NOBODY = np.empty(0, int)
@@ -130,19 +136,20 @@ class History:
 
 
 def from_steps(name: str, steps: Iterable[Step], drive: Drive, error_state: ErrorState | None = None, *,
-               colour: str = "slam", world_T_imu: np.ndarray | None = None) -> History:
+               colour: str | None = None, world_T_imu: np.ndarray | None = None) -> History:
     """The history of a filter: two snapshots a step, its prior and its posterior.
 
     steps : `Step`s whose beliefs are a joint `Belief`, a `MapBelief` or a `PoseBelief`.
     drive : the Drive they were run on; its true landmarks are the known map of a filter that estimates a pose only.
-    error_state : that of a joint filter, by default `RightPerturbation()`. colour : key of `style.COLOURS`.
+    error_state : that of a joint filter, by default `error_state.fitting`.
+    colour : key of `style.COLOURS`, by default the role of the error state.
     world_T_imu : (T, 4, 4), the poses that were given to a filter which estimates a map only.
     Raises ValueError for an empty history.
     """
-    error_state = error_state or RightPerturbation()
     steps = tuple(steps)
     if not steps:
         raise ValueError(f"{name or 'history'}: an explorer needs at least one step")
+    error_state = error_state or fitting(steps[0].posterior)
     snapshots: list[Snapshot] = []
     nis, numbers = [np.nan], [0]
     for step in steps:
@@ -166,8 +173,8 @@ def from_steps(name: str, steps: Iterable[Step], drive: Drive, error_state: Erro
     series = [*pose_series(snapshots), nis_series]
     if truth is not None and snapshots[0].pose_covariance is not None:
         series.insert(-1, nees_series(steps, drive, error_state))
-    return History(name, colour, "half-step", "time (s)", row_names(snapshots, error_state), tuple(snapshots),
-                   tuple(series))
+    return History(name, colour or error_state.role, "half-step", "time (s)", row_names(snapshots, error_state),
+                   tuple(snapshots), tuple(series))
 
 
 def from_beliefs(labels: Sequence[str], beliefs: Sequence[Any], drive: Drive, *, name: str, unit: str,
@@ -176,7 +183,7 @@ def from_beliefs(labels: Sequence[str], beliefs: Sequence[Any], drive: Drive, *,
     """A history of single beliefs, one snapshot each; arguments as in `Explorer.from_beliefs`."""
     if not len(beliefs) or len(beliefs) != len(labels):
         raise ValueError(f"{len(labels)} labels for {len(beliefs)} beliefs: give one each, and at least one")
-    error_state = error_state or RightPerturbation()
+    error_state = error_state or fitting(beliefs[0])
     frames = [drive.n_frames - 1] * len(beliefs) if frames is None else frames
     snapshots: list[Snapshot] = []
     for i, (label, belief, k) in enumerate(zip(labels, beliefs, frames)):
@@ -225,13 +232,11 @@ def jacobian(belief, innovation, drive, error_state, pose):
     if not hasattr(belief, "ids"):
         return camera.pose_jacobian(belief.world_T_imu, drive.true_landmarks[ids])
     rows = np.searchsorted(belief.ids, ids)
-    points = camera.to_cam(belief.world_T_imu, belief.landmarks[rows])
-    H_landmark, H_pose = error_state.jacobians(belief.world_T_imu, belief.landmarks[rows],
-                                               camera.measurement_jacobian(points))
+    _, H_landmark, H_pose = error_state.measure(camera, belief.world_T_imu, belief.points[rows])
     d = 3 * len(belief.ids)
     H = np.zeros((n, 4, len(belief.covariance)))
-    H[:, :, :d].reshape(n, 4, -1, 3)[each, :, rows] = H_landmark
-    H[:, :, d:d + 6] = H_pose
+    H[:, :, :d].reshape(n, 4, -1, 3)[each, :, rows] = H_landmark[:, FOUR_FROM_THREE]
+    H[:, :, d:d + 6] = H_pose[:, FOUR_FROM_THREE]
     return H
 
 
@@ -308,11 +313,6 @@ def look(step, drive, error_state, pose) -> Sight | None:
                  seen.nis, seen.accepted, pull)
 
 
-def to_right(error_state, world_T_imu):
-    """(6, 6): an error of the pose to the right perturbation that moves it as far, to first order."""
-    return RightPerturbation().world_pose(world_T_imu).T @ error_state.world_pose(world_T_imu)
-
-
 def _pose_and_points(belief, ids, drive, pose):
     """world_T_imu (4, 4) and the landmarks `ids` (n, 3), as this belief has or was given them."""
     if hasattr(belief, "seen"):
@@ -348,10 +348,7 @@ def row_names(snapshots, error_state) -> tuple[list[str], list[str]]:
     sizes = [len(s.covariance) - 3 * len(s.ids) for s in snapshots if s.covariance is not None]
     if not sizes:
         return ["x", "y", "z"], []
-    if isinstance(error_state, RightInvariant):
-        pose = ["x_p x", "x_p y", "x_p z", "x_R x", "x_R y", "x_R z"]
-        return ["x_m x", "x_m y", "x_m z"], pose + MOTION_ROWS[:sizes[0] - 6]
-    return ["x", "y", "z"], ["forward", "left", "up", "roll", "pitch", "yaw", *MOTION_ROWS[:sizes[0] - 6]]
+    return list(error_state.landmark_rows), [*error_state.pose_rows, *MOTION_ROWS[:sizes[0] - 6]]
 
 
 def describe(before: Snapshot | None, now: Snapshot, estimates_pose: bool) -> str:

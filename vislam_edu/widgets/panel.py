@@ -62,7 +62,7 @@ class Control(anywidget.AnyWidget):
 class Panel(ipywidgets.VBox):
     """A picture with a control for each of its `controls`.
 
-    picture : `pictures.canvas.Picture`.
+    picture : `canvas.Picture`.
     controls : dict name -> its `Control`, whose `value` may be set from code.
     image, text : the widgets that hold the picture, and its caption with the picture in words for screen readers.
     """

@@ -1,7 +1,6 @@
 """Exercises of notebook 01: SO(3), SE(3), and a pose that moves along a twist."""
 
 import numpy as np
-from scipy.linalg import block_diag
 
 from ... import noise, odometry, se3
 from ..checks.exercise import exercise
@@ -47,13 +46,12 @@ def so3_hat(omega):
 
     omega : (3,). Returns (3, 3).
     """
-    return se3.so3_hat(omega)
+    x, y, z = omega
+    return np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
 
 
-@so3_hat.mistake("signs transposed", """This is the transpose, -omega^: it gives cross(b, a). The entry in the first
-row, second column is -z.""")
-def _(omega):
-    return -se3.so3_hat(omega)
+so3_hat.slip("signs transposed", """This is the transpose, -omega^: it gives cross(b, a). The entry in the first
+row, second column is -z.""", (" omega", " -omega"))
 
 
 @so3_hat.mistake("no minus signs", "The matrix must be skew-symmetric: each entry below the diagonal is minus its "
@@ -77,7 +75,11 @@ def se3_hat(xi):
 
     xi : (6,), [v, omega], translation first. Returns (4, 4). You may use your `so3_hat`.
     """
-    return se3.hat(xi)
+    v, omega = xi[:3], xi[3:]
+    X = np.zeros((4, 4))
+    X[:3, :3] = se3.so3_hat(omega)
+    X[:3, 3] = v
+    return X
 
 
 @se3_hat.mistake("rotation and translation swapped", """A twist is [v, omega], translation first: omega is xi[3:].
@@ -92,9 +94,8 @@ def _(xi):
     return se3.hat(xi) + np.diag([0, 0, 0, 1])
 
 
-@se3_hat.mistake("omega^ transposed", "The rotation block is omega^, not its transpose: check your so3_hat.")
-def _(xi):
-    return se3.hat(xi * [1, 1, 1, -1, -1, -1])
+se3_hat.slip("omega^ transposed", "The rotation block is omega^, not its transpose: check your so3_hat.",
+             ("xi[3:]", "-xi[3:]"))
 
 
 # --- exp --------------------------------------------------------------------------------------------------
@@ -107,13 +108,14 @@ def so3_exp(phi):
 
     phi : (3,), rad: axis times angle; zero must give the identity. Returns (3, 3).
     """
-    return se3.so3_exp(phi)
+    t = np.linalg.norm(phi)
+    S = se3.so3_hat(phi)
+    if t < 1e-6:
+        return np.eye(3) + S
+    return np.eye(3) + np.sin(t) / t * S + (1 - np.cos(t)) / t**2 * (S @ S)
 
 
-@so3_exp.mistake("no small-angle branch", "At zero rotation the formula divides 0 by 0. " + _SMALL)
-def _(phi):
-    t, S = np.linalg.norm(phi), se3.so3_hat(phi)
-    return np.eye(3) + np.sin(t) / t * S + (1 - np.cos(t)) / t**2 * S @ S
+so3_exp.slip("no small-angle branch", "At zero rotation the formula divides 0 by 0. " + _SMALL, ("1e-6", "0"))
 
 
 @so3_exp.mistake("degrees", "phi is in radians; np.deg2rad or np.radians has no place here.")
@@ -128,9 +130,7 @@ def _(phi):
     return np.eye(3) + np.sin(t) * S + (1 - np.cos(t)) * S @ S
 
 
-@so3_exp.mistake("inverse rotation", "This is the transpose, a turn the other way: look at the sign of S.")
-def _(phi):
-    return se3.so3_exp(-phi)
+so3_exp.slip("inverse rotation", "This is the transpose, a turn the other way: look at the sign of S.", ("S +", "-S +"))
 
 
 @so3_exp.mistake("np.exp of a matrix", """np.exp takes the exponential of each entry. The matrix exponential is the
@@ -153,7 +153,17 @@ def se3_exp(xi):
 
     xi : (6,), [v, omega], m and rad; no rotation must give a pure translation. Returns (4, 4).
     """
-    return se3.exp(xi)
+    v, omega = xi[:3], xi[3:]
+    t = np.linalg.norm(omega)
+    S = se3.so3_hat(omega)
+    R = se3.so3_exp(omega)
+    V = np.eye(3) + S / 2
+    if t > 1e-6:
+        V = np.eye(3) + (1 - np.cos(t)) / t**2 * S + (t - np.sin(t)) / t**3 * (S @ S)
+    T = np.eye(4)
+    T[:3, :3] = R
+    T[:3, 3] = V @ v
+    return T
 
 
 @se3_exp.mistake("no small-angle branch", "At zero rotation the formula divides 0 by 0. " + _SMALL)
@@ -163,23 +173,16 @@ def _(xi):
     return se3.pose(np.eye(3) + np.sin(t) / t * S + (1 - np.cos(t)) / t**2 * S @ S, V @ xi[:3])
 
 
-@se3_exp.mistake("translation copied", """The translation of the pose is V v, not v: while the body turns, its own
-forward direction turns with it. V is the left Jacobian of SO(3).""")
-def _(xi):
-    return se3.pose(se3.so3_exp(xi[3:]), xi[:3])
+se3_exp.slip("translation copied", """The translation of the pose is V v, not v: while the body turns, its own
+forward direction turns with it. V is the left Jacobian of SO(3).""", ("V @ v", "v"))
 
 
-@se3_exp.mistake("R in place of V", """The translation is turned by V, the mean rotation along the way, not by R, the
-rotation at its end.""")
-def _(xi):
-    R = se3.so3_exp(xi[3:])
-    return se3.pose(R, R @ xi[:3])
+se3_exp.slip("R in place of V", """The translation is turned by V, the mean rotation along the way, not by R, the
+rotation at its end.""", ("V @", "R @"))
 
 
-@se3_exp.mistake("V of the inverse rotation", """The signs of the odd terms of V are those of the right Jacobian; the
-translation needs the left one, I + (1 - cos t) / t^2 S + ...""")
-def _(xi):
-    return se3.pose(se3.so3_exp(xi[3:]), se3.so3_right_jacobian(xi[3:]) @ xi[:3])
+se3_exp.slip("V of the inverse rotation", """The signs of the odd terms of V are those of the right Jacobian; the
+translation needs the left one, I + (1 - cos t) / t^2 S + ...""", ("S +", "-S +"))
 
 
 @se3_exp.mistake("rotation and translation swapped", "A twist is [v, omega], translation first: omega is xi[3:].")
@@ -215,7 +218,12 @@ def adjoint(T):
 
     T : (4, 4), a_T_b. Returns (6, 6), which takes twists [v, omega] of frame b to frame a.
     """
-    return se3.adjoint(T)
+    R, p = T[:3, :3], T[:3, 3]
+    A = np.zeros((6, 6))
+    A[:3, :3] = R
+    A[:3, 3:] = se3.so3_hat(p) @ R
+    A[3:, 3:] = R
+    return A
 
 
 @adjoint.mistake("twist order [omega, v]", """The block p^ R stands lower left only where a twist is [omega, v]. Here it
@@ -226,23 +234,17 @@ def _(T):
     return A
 
 
-@adjoint.mistake("p^ R forgotten", """A turn about a frame b that is p away also moves the origin of frame a: the upper
-right block is p^ R, not zero.""")
-def _(T):
-    return block_diag(T[:3, :3], T[:3, :3])
+adjoint.slip("p^ R forgotten", """A turn about a frame b that is p away also moves the origin of frame a: the upper
+right block is p^ R, not zero.""", ("@ R", "@ p"))
 
 
-@adjoint.mistake("R p^ in place of p^ R",
-                 "p is expressed in frame a, so it acts after R has turned the twist into a: p^ R.")
-def _(T):
-    A = block_diag(T[:3, :3], T[:3, :3])
-    A[:3, 3:] = T[:3, :3] @ se3.so3_hat(T[:3, 3])
-    return A
+adjoint.slip("R p^ in place of p^ R",
+                 "p is expressed in frame a, so it acts after R has turned the twist into a: p^ R.",
+             ("se3.so3_hat(p) @ R", "R @ se3.so3_hat(p)"))
 
 
-@adjoint.mistake("of the inverse pose", "This is the Adjoint of T^-1: it takes twists from frame a to frame b.")
-def _(T):
-    return se3.adjoint(se3.inverse(T))
+adjoint.slip("of the inverse pose", "This is the Adjoint of T^-1: it takes twists from frame a to frame b.",
+             ("return A", "return np.linalg.inv(A)"))
 
 
 def jacobian_twists(rng):
@@ -260,7 +262,16 @@ def left_jacobian(xi):
 
     xi : (6,), [v, omega]. Returns (6, 6).
     """
-    return se3.left_jacobian(xi)
+    X = np.zeros((6, 6))
+    X[:3, :3] = se3.so3_hat(xi[3:])
+    X[:3, 3:] = se3.so3_hat(xi[:3])
+    X[3:, 3:] = se3.so3_hat(xi[3:])
+    J = np.eye(6)
+    term = np.eye(6)
+    for n in range(1, 30):
+        term = term @ X / (n + 1)
+        J = J + term
+    return J
 
 
 @left_jacobian.mistake("I at zero rotation", """Zero rotation is not a zero twist: there the Jacobian is [[I, v^/2], [0,
@@ -276,22 +287,16 @@ def _(xi):
         return se3.left_jacobian(xi) + 0.0 / np.linalg.norm(xi[3:])
 
 
-@left_jacobian.mistake("block of v forgotten", """The Jacobian of SO(3) on the diagonal is not all: the upper right
-block says how a small turn moves the end of the path.""")
-def _(xi):
-    J = se3.so3_left_jacobian(xi[3:])
-    return block_diag(J, J)
+left_jacobian.slip("block of v forgotten", """The Jacobian of SO(3) on the diagonal is not all: the upper right
+block says how a small turn moves the end of the path.""", ("xi[:3]", "0 * xi[:3]"))
 
 
-@left_jacobian.mistake("right Jacobian", "This is the right Jacobian, left_jacobian(-xi): the odd terms change sign.")
-def _(xi):
-    return se3.right_jacobian(xi)
+left_jacobian.slip("right Jacobian", "This is the right Jacobian, left_jacobian(-xi): the odd terms change sign.",
+                   ("X /", "-X /"))
 
 
-@left_jacobian.mistake("exponential series", """The terms are divided by (n+1)!, not by n!: this is the Adjoint of
-exp(xi).""")
-def _(xi):
-    return se3.adjoint(se3.exp(xi))
+left_jacobian.slip("exponential series", """The terms are divided by (n+1)!, not by n!: this is the Adjoint of
+exp(xi).""", ("1)", "0)"))
 
 
 @left_jacobian.mistake("series cut off", """Two or three terms are not enough for a turn of a radian: add terms until
@@ -319,24 +324,18 @@ def dead_reckon(world_T_imu, twists, taus):
     taus : (n,), s, how long each twist lasts. Returns (n + 1, 4, 4), the start included. You may use `se3.exp`.
     """
     poses = [world_T_imu]
-    for twist, tau in zip(twists, taus):
-        poses.append(poses[-1] @ se3.exp(tau * twist))
+    for k in range(len(taus)):
+        poses.append(poses[k] @ se3.exp(taus[k] * twists[k]))
     return np.array(poses)
 
 
-@dead_reckon.mistake("world and body mixed", """The twist is measured in the body frame, so its exponential stands to
-the right of world_T_imu. On the left it would be a motion expressed in the world frame.""")
-def _(world_T_imu, twists, taus):
-    poses = [world_T_imu]
-    for twist, tau in zip(twists, taus):
-        poses.append(se3.exp(tau * twist) @ poses[-1])
-    return np.array(poses)
+dead_reckon.slip("world and body mixed", """The twist is measured in the body frame, so its exponential stands to
+the right of world_T_imu. On the left it would be a motion expressed in the world frame.""",
+                 ("poses[k] @ se3.exp(taus[k] * twists[k])", "se3.exp(taus[k] * twists[k]) @ poses[k]"))
 
 
-@dead_reckon.mistake("tau forgotten", """A twist is a velocity: multiply it by the time it lasts before you
-exponentiate.""")
-def _(world_T_imu, twists, taus):
-    return dead_reckon.reference(world_T_imu, twists, np.ones_like(taus))
+dead_reckon.slip("tau forgotten", """A twist is a velocity: multiply it by the time it lasts before you
+exponentiate.""", ("taus[k] * twists[k]", "twists[k]"))
 
 
 @dead_reckon.mistake("exponential of the sum", """Twists of different directions do not commute: exp(a) exp(b) is not
@@ -384,13 +383,14 @@ def predict_covariance(covariance, twist, tau, Q):
     Q : (6, 6), covariance of one IMU sample. Returns (6, 6): F P F^T + B Q B^T with F = Ad(exp(-tau u^)) and
     B = tau J_r(tau u), J_r the right Jacobian. You may use `se3`.
     """
-    return _predicted(covariance, twist, tau, Q)
+    F = se3.adjoint(se3.exp(-tau * twist))
+    B = tau * se3.right_jacobian(tau * twist)
+    return F @ covariance @ F.T + B @ Q @ B.T
 
 
-@predict_covariance.mistake("noise not scaled by tau", """Q is the variance of one sample of the twist. Over the step
-that error lasts tau seconds, so it enters as tau^2 Q.""")
-def _(covariance, twist, tau, Q):
-    return _predicted(covariance, twist, tau, Q, B=se3.right_jacobian(tau * twist))
+predict_covariance.slip("noise not scaled by tau", """Q is the variance of one sample of the twist. Over the step
+that error lasts tau seconds, so it enters as tau^2 Q.""",
+                        ("tau * se3.right_jacobian(tau * twist)", "se3.right_jacobian(tau * twist)"))
 
 
 @predict_covariance.mistake("tau instead of tau squared", """An error of tau times the noise has tau^2 times its
@@ -399,32 +399,23 @@ def _(covariance, twist, tau, Q):
     return _predicted(covariance, twist, tau, Q, B=tau**0.5 * se3.right_jacobian(tau * twist))
 
 
-@predict_covariance.mistake("the report's W", """The report adds tau^2 Q: it takes the right Jacobian for the identity.
-That is a few per cent off in a bend; here it is asked for exactly.""")
-def _(covariance, twist, tau, Q):
-    return _predicted(covariance, twist, tau, Q, B=tau * np.eye(6))
+predict_covariance.slip("the report's W", """The report adds tau^2 Q: it takes the right Jacobian for the identity.
+That is a few per cent off in a bend; here it is asked for exactly.""", ("(tau", "(0 * tau"))
 
 
-@predict_covariance.mistake("F of the wrong sign", """The error of the old pose is expressed in the old body frame; to
-reach the new one it goes back along the step: exp(-tau u^). With +tau it would go further away.""")
-def _(covariance, twist, tau, Q):
-    return _predicted(covariance, twist, tau, Q, F=se3.adjoint(se3.exp(tau * twist)))
+predict_covariance.slip("F of the wrong sign", """The error of the old pose is expressed in the old body frame; to
+reach the new one it goes back along the step: exp(-tau u^). With +tau it would go further away.""", ("-tau", "tau"))
 
 
-@predict_covariance.mistake("world and body mixed", """F = I belongs to an error expressed in the world frame (left
-perturbation). The right perturbation is expressed in the body frame, which has moved.""")
-def _(covariance, twist, tau, Q):
-    return _predicted(covariance, twist, tau, Q, F=np.eye(6))
+predict_covariance.slip("world and body mixed", """F = I belongs to an error expressed in the world frame (left
+perturbation). The right perturbation is expressed in the body frame, which has moved.""", ("twist))", "0 * twist))"))
 
 
-@predict_covariance.mistake("F^T P F", "An error F e has the covariance F P F^T: the transpose stands on the right.")
-def _(covariance, twist, tau, Q):
-    return _predicted(covariance, twist, tau, Q, F=se3.adjoint(se3.exp(-tau * twist)).T)
+predict_covariance.slip("F^T P F", "An error F e has the covariance F P F^T: the transpose stands on the right.",
+                        ("se3.adjoint(se3.exp(-tau * twist))", "se3.adjoint(se3.exp(-tau * twist)).T"))
 
 
-@predict_covariance.mistake("no noise added", "Without B Q B^T the filter never becomes less sure.")
-def _(covariance, twist, tau, Q):
-    return _predicted(covariance, twist, tau, Q, B=np.zeros((6, 6)))
+predict_covariance.slip("no noise added", "Without B Q B^T the filter never becomes less sure.", ("B @", "0 * B @"))
 
 
 def datasheets(rng):
@@ -448,24 +439,26 @@ def datasheet_noise(angle_random_walk, velocity_density, rate):
     angle_random_walk : degrees per root hour, of the gyro. velocity_density : m/s per root hertz. rate : Hz,
     samples per second; a step lasts 1 / rate. Returns (6, 6), order [position m, rotation rad], with J_r = I.
     """
-    return _W(velocity_density, np.radians(angle_random_walk) / 60, 1 / rate)
+    tau = 1 / rate
+    gyro_density = np.radians(angle_random_walk) / np.sqrt(3600)
+    sigma_v = velocity_density * np.sqrt(rate)
+    sigma_omega = gyro_density * np.sqrt(rate)
+    W = np.zeros((6, 6))
+    W[:3, :3] = tau**2 * sigma_v**2 * np.eye(3)
+    W[3:, 3:] = tau**2 * sigma_omega**2 * np.eye(3)
+    return W
 
 
-@datasheet_noise.mistake("degrees", "The datasheet gives degrees, W wants radians: np.radians.")
-def _(angle_random_walk, velocity_density, rate):
-    return _W(velocity_density, angle_random_walk / 60, 1 / rate)
+datasheet_noise.slip("degrees", "The datasheet gives degrees, W wants radians: np.radians.",
+                     ("np.radians(angle_random_walk)", "angle_random_walk"))
 
 
-@datasheet_noise.mistake("per root hour taken for per root second", """The unit is degrees per root *hour*: divide by
-sqrt(3600) = 60.""")
-def _(angle_random_walk, velocity_density, rate):
-    return _W(velocity_density, np.radians(angle_random_walk), 1 / rate)
+datasheet_noise.slip("per root hour taken for per root second", """The unit is degrees per root *hour*: divide by
+sqrt(3600) = 60.""", ("3600", "1"))
 
 
-@datasheet_noise.mistake("divided by 3600", """An hour has 3600 seconds, but the unit is per *root* hour: divide by
-sqrt(3600) = 60.""")
-def _(angle_random_walk, velocity_density, rate):
-    return _W(velocity_density, np.radians(angle_random_walk) / 3600, 1 / rate)
+datasheet_noise.slip("divided by 3600", """An hour has 3600 seconds, but the unit is per *root* hour: divide by
+sqrt(3600) = 60.""", ("np.sqrt(3600)", "3600"))
 
 
 @datasheet_noise.mistake("density taken for sigma", """tau^2 density^2 takes the density for the sigma of one sample.
@@ -474,16 +467,12 @@ def _(angle_random_walk, velocity_density, rate):
     return _W(velocity_density, np.radians(angle_random_walk) / 60, 1 / rate**2)
 
 
-@datasheet_noise.mistake("rate squared", """sigma of one sample is density times sqrt(rate), so its variance has the
-rate once, not squared.""")
-def _(angle_random_walk, velocity_density, rate):
-    return _W(velocity_density, np.radians(angle_random_walk) / 60, 1.0)
+datasheet_noise.slip("rate squared", """sigma of one sample is density times sqrt(rate), so its variance has the
+rate once, not squared.""", ("1 / rate", "np.sqrt(1 / rate)"))
 
 
-@datasheet_noise.mistake("covariance of a sample", """This is the covariance of one IMU sample, Q. W is that of one step
-of the pose: tau^2 Q.""")
-def _(angle_random_walk, velocity_density, rate):
-    return _W(velocity_density, np.radians(angle_random_walk) / 60, rate)
+datasheet_noise.slip("covariance of a sample", """This is the covariance of one IMU sample, Q. W is that of one step
+of the pose: tau^2 Q.""", ("1 / rate", "1"))
 
 
 @datasheet_noise.mistake("not squared", "W holds variances: square the densities.")

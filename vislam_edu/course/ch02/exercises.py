@@ -26,7 +26,9 @@ def bearing(K, uv):
     K : (3, 3), px, calibration [[f_u, 0, c_u], [0, f_v, c_v], [0, 0, 1]]. uv : (2,), px.
     Returns (3,), in the camera frame, its third entry 1.
     """
-    return stereo.bearing(K, uv)
+    x = (uv[0] - K[0, 2]) / K[0, 0]
+    y = (uv[1] - K[1, 2]) / K[1, 1]
+    return np.array([x, y, 1.0])
 
 
 @bearing.mistake("pixels used as bearings", """[u, v, 1] is a pixel, not a direction: it has to go through K^-1. The
@@ -46,16 +48,13 @@ def _(K, uv):
     return np.append(uv - K[:2, 2], 1.0)
 
 
-@bearing.mistake("scaled to length one", """A bearing here has depth one (third entry 1), so that depth times bearing is
-the point. Leave out the normalisation.""")
-def _(K, uv):
-    z = stereo.bearing(K, uv)
-    return z / np.linalg.norm(z)
+bearing.slip("scaled to length one", """A bearing here has depth one (third entry 1), so that depth times bearing is
+the point. Leave out the normalisation.""",
+             ("np.array([x, y, 1.0])", "np.array([x, y, 1.0]) / np.linalg.norm(np.array([x, y, 1.0]))"))
 
 
-@bearing.mistake("one focal length for both axes", "u goes with f_u = K[0, 0], v with f_v = K[1, 1].")
-def _(K, uv):
-    return np.append((uv - K[:2, 2]) / K[0, 0], 1.0)
+bearing.slip("one focal length for both axes", "u goes with f_u = K[0, 0], v with f_v = K[1, 1].",
+             ("K[1, 1]", "K[0, 0]"))
 
 
 def two_views(rng):
@@ -84,7 +83,23 @@ def triangulate_bearings(K, uv1, uv2, R, p):
     K : (3, 3), px, of both cameras. uv1, uv2 : (2,), px, in camera 1 and camera 2. R, p : (3, 3) and (3,) m,
     the pose of camera 2 in camera 1. Returns (3,), m, in the frame of camera 1. You may use `stereo.bearing`.
     """
-    return stereo.triangulate_bearings(stereo.bearing(K, uv1), stereo.bearing(K, uv2), R, p)[0]
+    z1 = stereo.bearing(K, uv1)
+    z2 = stereo.bearing(K, uv2)
+    a = R.T @ z1
+    b = R.T @ p
+    a = a - a[2] * z2
+    b = b - b[2] * z2
+    depth = (a @ b) / (a @ a)
+    return depth * z1
+
+
+@triangulate_bearings.otherwise
+def _(K, uv1, uv2, R, p):
+    z1 = stereo.bearing(K, uv1)
+    z2 = stereo.bearing(K, uv2)
+    A = np.column_stack([z1, -R @ z2])
+    depths = np.linalg.inv(A.T @ A) @ A.T @ p
+    return depths[0] * z1
 
 
 @triangulate_bearings.mistake("pixels used as bearings", """The equations hold for bearings K^-1 [u, v, 1], not for [u,
@@ -99,10 +114,8 @@ def _(K, uv1, uv2, R, p):
     return _met(stereo.bearing(K, uv1), stereo.bearing(K, uv2), R.T, p)
 
 
-@triangulate_bearings.mistake("baseline of the wrong sign", """p points from camera 1 to camera 2. With the other sign
-the point comes out behind the cameras.""")
-def _(K, uv1, uv2, R, p):
-    return _met(stereo.bearing(K, uv1), stereo.bearing(K, uv2), R, -p)
+triangulate_bearings.slip("baseline of the wrong sign", """p points from camera 1 to camera 2. With the other sign
+the point comes out behind the cameras.""", ("b)", "-b)"))
 
 
 @triangulate_bearings.mistake("expressed in camera 2", """This is the point in the frame of camera 2. Its depth along
@@ -111,11 +124,8 @@ def _(K, uv1, uv2, R, p):
     return R.T @ (_met(stereo.bearing(K, uv1), stereo.bearing(K, uv2), R, p) - p)
 
 
-@triangulate_bearings.mistake("first depth on the second bearing", """l1 is the depth along z1. Times z2 it is no point
-that anyone sees.""")
-def _(K, uv1, uv2, R, p):
-    z1, z2 = stereo.bearing(K, uv1), stereo.bearing(K, uv2)
-    return _met(z1, z2, R, p)[2] * z2
+triangulate_bearings.slip("first depth on the second bearing", """l1 is the depth along z1. Times z2 it is no point
+that anyone sees.""", ("* z1", "* z2"))
 
 
 # --- disparity --------------------------------------------------------------------------------------------
@@ -153,26 +163,25 @@ def triangulate(K, baseline, pixels):
     Returns points (n, 3), m, in the left camera, and ok (n,), False where the disparity is zero or negative;
     what points holds there does not matter.
     """
-    return StereoCamera(K, baseline, np.eye(4)).triangulate(pixels)
+    u_left, v_left, u_right, _v_right = pixels.T
+    d = u_left - u_right
+    ok = d > 0
+    z = K[0, 0] * baseline / d
+    x = z * (u_left - K[0, 2]) / K[0, 0]
+    y = z * (v_left - K[1, 2]) / K[1, 1]
+    return np.column_stack([x, y, z]), ok
 
 
-@triangulate.mistake("disparity at or below zero triangulated", """Noise can bring the disparity of a far point to zero
-or below. Its depth would be infinite or behind the camera: ok must be False there.""")
-def _(K, baseline, pixels):
-    return _by_disparity(K, baseline, pixels, pixels[:, 0] - pixels[:, 2]), np.ones(len(pixels), bool)
+triangulate.slip("disparity at or below zero triangulated", """Noise can bring the disparity of a far point to zero
+or below. Its depth would be infinite or behind the camera: ok must be False there.""", ("d >", "u_left >"))
 
 
-@triangulate.mistake("zero disparity let through", "A disparity of exactly zero is infinitely far: d > 0, not d >= 0.")
-def _(K, baseline, pixels):
-    d = pixels[:, 0] - pixels[:, 2]
-    return _by_disparity(K, baseline, pixels, d), d >= 0
+triangulate.slip("zero disparity let through", "A disparity of exactly zero is infinitely far: d > 0, not d >= 0.",
+                 ("> 0", "> -1"))
 
 
-@triangulate.mistake("negative disparity let through", """Where u_right lies to the right of u_left the point comes out
-behind the camera: d > 0, not d != 0.""")
-def _(K, baseline, pixels):
-    d = pixels[:, 0] - pixels[:, 2]
-    return _by_disparity(K, baseline, pixels, d), d != 0
+triangulate.slip("negative disparity let through", """Where u_right lies to the right of u_left the point comes out
+behind the camera: d > 0, not d != 0.""", ("d > 0", "d != 0"))
 
 
 @triangulate.mistake("absolute disparity", """A negative disparity is a wrong measurement; its absolute value makes it
@@ -182,11 +191,8 @@ def _(K, baseline, pixels):
     return _by_disparity(K, baseline, pixels, d), d > 0
 
 
-@triangulate.mistake("disparity of the wrong sign", """Seen from the right camera everything moves left: d = u_left -
-u_right.""")
-def _(K, baseline, pixels):
-    d = pixels[:, 2] - pixels[:, 0]
-    return _by_disparity(K, baseline, pixels, d), d > 0
+triangulate.slip("disparity of the wrong sign", """Seen from the right camera everything moves left: d = u_left -
+u_right.""", ("u_left - u_right", "u_right - u_left"))
 
 
 @triangulate.mistake("pixels used as bearings", "Depth times [u, v, 1] is no point: use the bearing K^-1 [u, v, 1].")
@@ -195,10 +201,8 @@ def _(K, baseline, pixels):
     return _by_disparity(K, baseline, pixels, d, np.column_stack([pixels[:, :2], np.ones(len(pixels))])), d > 0
 
 
-@triangulate.mistake("baseline forgotten", "f_u / d has no unit; times the baseline it is a depth in metres.")
-def _(K, baseline, pixels):
-    d = pixels[:, 0] - pixels[:, 2]
-    return _by_disparity(K, 1.0, pixels, d), d > 0
+triangulate.slip("baseline forgotten", "f_u / d has no unit; times the baseline it is a depth in metres.",
+                 ("baseline ", "ok "))
 
 
 @triangulate.mistake("principal point forgotten", "u is counted from the corner of the image; the axis is at c_u, c_v.")
@@ -229,19 +233,20 @@ def triangulation_covariance(K, baseline, point, sigma_px):
     K : (3, 3), px. baseline : m. point : (3,), m, in the left camera. sigma_px : px, of each of the four numbers
     [u_left, v_left, u_right, v_right]. Returns (3, 3), m^2, in the left camera: (H^T V^-1 H)^-1.
     """
-    return StereoCamera(K, baseline, np.eye(4)).triangulation_covariance(point, sigma_px)
+    x, y, z = point
+    f_u, f_v = K[0, 0], K[1, 1]
+    H = np.array([[f_u / z, 0, -f_u * x / z**2],
+                  [0, f_v / z, -f_v * y / z**2],
+                  [f_u / z, 0, -f_u * (x - baseline) / z**2],
+                  [0, f_v / z, -f_v * y / z**2]])
+    return sigma_px**2 * np.linalg.inv(H.T @ H)
 
 
-@triangulation_covariance.mistake("sigma not squared", "V holds variances: sigma_px squared.")
-def _(K, baseline, point, sigma_px):
-    H = _H(K, baseline, point)
-    return sigma_px * np.linalg.inv(H.T @ H)
+triangulation_covariance.slip("sigma not squared", "V holds variances: sigma_px squared.", ("2 ", "1 "))
 
 
-@triangulation_covariance.mistake("information, not covariance", "H^T V^-1 H is the information matrix; invert it.")
-def _(K, baseline, point, sigma_px):
-    H = _H(K, baseline, point)
-    return H.T @ H / sigma_px**2
+triangulation_covariance.slip("information, not covariance", "H^T V^-1 H is the information matrix; invert it.",
+    ("sigma_px**2 * np.linalg.inv(H.T @ H)", "np.linalg.inv(sigma_px ** 2 * np.linalg.inv(H.T @ H))"))
 
 
 @triangulation_covariance.mistake("depth variance only", """d z / d disparity gives the variance along the axis alone; x
@@ -258,8 +263,5 @@ def _(K, baseline, point, sigma_px):
     return sigma_px**2 * np.linalg.inv(H.T @ H)
 
 
-@triangulation_covariance.mistake("propagated through H", """H V H^T takes a covariance of a point to pixels. The way
-back is (H^T V^-1 H)^-1.""")
-def _(K, baseline, point, sigma_px):
-    H = _H(K, baseline, point)
-    return sigma_px**2 * H.T @ H
+triangulation_covariance.slip("propagated through H", """H V H^T takes a covariance of a point to pixels. The way
+back is (H^T V^-1 H)^-1.""", ("np.linalg.inv(H.T @ H)", "H.T @ H"))

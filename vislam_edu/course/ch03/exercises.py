@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.linalg import block_diag
 
-from ... import kalman, mapping, se3, stereo
+from ... import kalman, mapping, stereo
 from ...stereo import StereoCamera
 from ..checks.exercise import exercise
 from ..checks.inputs import CAMERA, random_camera, random_covariance, random_landmarks, random_points_cam, random_pose
@@ -30,12 +30,22 @@ def project(camera, points_cam):
     camera : StereoCamera; camera.K_s is the stereo calibration matrix (4, 4). points_cam : (n, 3), m, in the left
     camera, all in front of it. Returns (n, 4), [u_left, v_left, u_right, v_right], px.
     """
-    return camera.project(points_cam)[0]
+    x, y, z = points_cam.T
+    q = np.stack([x, y, z, np.ones(len(z))])
+    return (camera.K_s @ (q / q[2])).T
 
 
-@project.mistake("not divided by depth", "Perspective is the division by the depth q_3: pi(q) = q / q_3.")
+@project.otherwise
 def _(camera, points_cam):
-    return _homogeneous(points_cam) @ camera.K_s.T
+    K = camera.K_s
+    x, y, z = points_cam.T
+    u_left = K[0, 0] * x / z + K[0, 2]
+    v_left = K[1, 1] * y / z + K[1, 2]
+    u_right = K[0, 0] * x / z + K[0, 2] + K[2, 3] / z
+    return np.column_stack([u_left, v_left, u_right, v_left])
+
+
+project.slip("not divided by depth", "Perspective is the division by the depth q_3: pi(q) = q / q_3.", ("2", "3"))
 
 
 @project.mistake("baseline not divided by depth", """Divide all of q by its depth, the 1 at its end too: the shift
@@ -44,17 +54,12 @@ def _(camera, points_cam):
     return _homogeneous(points_cam / points_cam[:, 2:]) @ camera.K_s.T
 
 
-@project.mistake("right camera on the left", """The right camera sees everything further left: u_right = u_left - f_u b
-/ z.""")
-def _(camera, points_cam):
-    u, v, r, w = camera.project(points_cam)[0].T
-    return np.stack([u, v, 2 * u - r, w], axis=-1)
+project.slip("right camera on the left", """The right camera sees everything further left: u_right = u_left - f_u b
+/ z.""", ("points_cam.T", "-points_cam.T"))
 
 
-@project.mistake("no baseline", "u_right is not u_left: the right camera is moved by the baseline.")
-def _(camera, points_cam):
-    u, v, *_ = camera.project(points_cam)[0].T
-    return np.stack([u, v, u, v], axis=-1)
+project.slip("no baseline", "u_right is not u_left: the right camera is moved by the baseline.",
+             ("np.ones(len(z))", "0 * np.ones(len(z))"))
 
 
 @project.mistake("principal point forgotten", "Pixels are counted from the corner of the image: add c_u and c_v.")
@@ -77,7 +82,12 @@ def projection_jacobian(camera, point_cam):
 
     camera : StereoCamera (camera.K_s). point_cam : (3,), m, in the left camera. Returns (4, 4), px/m.
     """
-    return camera.projection_jacobian(point_cam)
+    x, y, z = point_cam
+    D = np.array([[1 / z, 0, -x / z**2, 0],
+                  [0, 1 / z, -y / z**2, 0],
+                  [0, 0, 0, 0],
+                  [0, 0, -1 / z**2, 1 / z]])
+    return camera.K_s @ D
 
 
 @projection_jacobian.mistake("1/q3 forgotten", """The whole matrix carries a factor 1/q_3: a point twice as far away
@@ -99,10 +109,8 @@ def _(camera, point_cam):
     return camera.projection_jacobian(point_cam) * [1, 1, -1, 1]
 
 
-@projection_jacobian.mistake("third column forgotten", """Moving a point away moves its pixels towards the centre: the
-derivative by q_3 is not zero.""")
-def _(camera, point_cam):
-    return camera.projection_jacobian(point_cam) * [1, 1, 0, 1]
+projection_jacobian.slip("third column forgotten", """Moving a point away moves its pixels towards the centre: the
+derivative by q_3 is not zero.""", ("@ D", "@ np.diag(np.diag(D))"))
 
 
 @projection_jacobian.mistake("third row not zero", """The third entry of q / q_3 is always 1: its derivative is zero, by
@@ -113,9 +121,7 @@ def _(camera, point_cam):
     return camera.K_s @ D
 
 
-@projection_jacobian.mistake("K_s forgotten", "This is dpi/dq alone; the pixels are K_s pi(q).")
-def _(camera, point_cam):
-    return stereo.dpi_dq(np.append(point_cam, 1.0))
+projection_jacobian.slip("K_s forgotten", "This is dpi/dq alone; the pixels are K_s pi(q).", ("camera.K_s @ D", "D"))
 
 
 def one_landmark(rng):
@@ -134,29 +140,27 @@ def landmark_jacobian(camera, world_T_imu, landmark):
     camera : StereoCamera (cam_T_imu, projection_jacobian, to_cam). world_T_imu : (4, 4). landmark : (3,), m,
     world. Returns (4, 3), px/m.
     """
-    return camera.landmark_jacobian(world_T_imu, landmark)
+    R, p = world_T_imu[:3, :3], world_T_imu[:3, 3]
+    s = R.T @ (landmark - p)
+    q = camera.cam_T_imu[:3, :3] @ s + camera.cam_T_imu[:3, 3]
+    J = camera.projection_jacobian(q)[:, :3]
+    return J @ camera.cam_T_imu[:3, :3] @ R.T
 
 
 def _landmark_jacobian(camera, q, rotation):
     return camera.projection_jacobian(q)[:, :3] @ rotation
 
 
-@landmark_jacobian.mistake("extrinsics forgotten", """Between the IMU and the camera there is a rotation too: cam_T_imu
-belongs between K_s dpi/dq and R^T.""")
-def _(camera, world_T_imu, landmark):
-    return _landmark_jacobian(camera, camera.to_cam(world_T_imu, landmark), world_T_imu[:3, :3].T)
+landmark_jacobian.slip("extrinsics forgotten", """Between the IMU and the camera there is a rotation too: cam_T_imu
+belongs between K_s dpi/dq and R^T.""", ("J @ camera.cam_T_imu[:3, :3]", "J"))
 
 
-@landmark_jacobian.mistake("pose in place of its inverse", """Landmarks go from the world to the IMU: T^-1, so R^T. The
-report's section 3.2.2 writes T.""")
-def _(camera, world_T_imu, landmark):
-    return _landmark_jacobian(camera, camera.to_cam(world_T_imu, landmark),
-                              camera.cam_T_imu[:3, :3] @ world_T_imu[:3, :3])
+landmark_jacobian.slip("pose in place of its inverse", """Landmarks go from the world to the IMU: T^-1, so R^T. The
+report's section 3.2.2 writes T.""", ("@ R.T", "@ R"))
 
 
-@landmark_jacobian.mistake("R^T forgotten", "This is the derivative by the point in the IMU frame; R^T is missing.")
-def _(camera, world_T_imu, landmark):
-    return camera.measurement_jacobian(camera.to_cam(world_T_imu, landmark))
+landmark_jacobian.slip("R^T forgotten", "This is the derivative by the point in the IMU frame; R^T is missing.",
+                       ("J @ camera.cam_T_imu[:3, :3] @ R.T", "J @ camera.cam_T_imu[:3, :3]"))
 
 
 @landmark_jacobian.mistake("1/q3 forgotten", "dpi/dq carries a factor 1/q_3.")
@@ -165,24 +169,16 @@ def _(camera, world_T_imu, landmark):
     return q[2] * camera.landmark_jacobian(world_T_imu, landmark)
 
 
-@landmark_jacobian.mistake("sign flipped", """Only the pose enters through its inverse; the derivative by the landmark
-has no minus.""")
-def _(camera, world_T_imu, landmark):
-    return -camera.landmark_jacobian(world_T_imu, landmark)
+landmark_jacobian.slip("sign flipped", """Only the pose enters through its inverse; the derivative by the landmark
+has no minus.""", ("J @", "-J @"))
 
 
-@landmark_jacobian.mistake("imu_T_cam in place of cam_T_imu", "From the IMU to the camera goes cam_T_imu.")
-def _(camera, world_T_imu, landmark):
-    q = camera.to_cam(world_T_imu, landmark)
-    return _landmark_jacobian(camera, q, camera.imu_T_cam[:3, :3] @ world_T_imu[:3, :3].T)
+landmark_jacobian.slip("imu_T_cam in place of cam_T_imu", "From the IMU to the camera goes cam_T_imu.",
+                       ("@ camera.cam_T_imu", "@ camera.imu_T_cam"))
 
 
-@landmark_jacobian.mistake("taken at the point in the IMU frame", """dpi/dq is taken at q, the point in the camera
-frame, depth along z. In the IMU frame z points up.""")
-def _(camera, world_T_imu, landmark):
-    s = se3.transform(se3.inverse(world_T_imu), landmark)
-    D = stereo.dpi_dq(np.append(s, 1.0))
-    return (camera.K_s @ D)[:, :3] @ camera.cam_T_imu[:3, :3] @ world_T_imu[:3, :3].T
+landmark_jacobian.slip("taken at the point in the IMU frame", """dpi/dq is taken at q, the point in the camera
+frame, depth along z. In the IMU frame z points up.""", ("q)", "s)"))
 
 
 # --- Kalman update ----------------------------------------------------------------------------------------
@@ -208,7 +204,17 @@ def kalman_update(covariance, H, V, residual):
     covariance : (n, n). H : (m, n). V : (m, m), noise. residual : (m,), measured minus predicted.
     Returns delta (n,), to be added to the mean, and the covariance (n, n) afterwards.
     """
-    return kalman.update(covariance, H, V, residual)
+    S = H @ covariance @ H.T + V
+    K = covariance @ H.T @ np.linalg.inv(S)
+    A = np.eye(len(covariance)) - K @ H
+    return K @ residual, A @ covariance @ A.T + K @ V @ K.T
+
+
+@kalman_update.otherwise
+def _(covariance, H, V, residual):
+    S = H @ covariance @ H.T + V
+    K = covariance @ H.T @ np.linalg.inv(S)
+    return K @ residual, (np.eye(len(covariance)) - K @ H) @ covariance
 
 
 @kalman_update.mistake("noise left out of S", """S = H P H^T + V: the residual also scatters by the noise of the
@@ -231,19 +237,12 @@ def _(covariance, H, V, residual):
     return _gain(covariance, H, V) @ residual, covariance.copy()
 
 
-@kalman_update.mistake("Joseph form without K V K^T", """(I - K H) P (I - K H)^T is only half of the Joseph form; the
-noise that came in through the gain is the other half.""")
-def _(covariance, H, V, residual):
-    K = _gain(covariance, H, V)
-    A = np.eye(len(covariance)) - K @ H
-    return K @ residual, A @ covariance @ A.T
+kalman_update.slip("Joseph form without K V K^T", """(I - K H) P (I - K H)^T is only half of the Joseph form; the
+noise that came in through the gain is the other half.""", ("+ K", "+ 0 * K"))
 
 
-@kalman_update.mistake("correction of the wrong sign", """The residual is measured minus predicted: the state moves by
-plus K r.""")
-def _(covariance, H, V, residual):
-    delta, P = kalman.update(covariance, H, V, residual)
-    return -delta, P
+kalman_update.slip("correction of the wrong sign", """The residual is measured minus predicted: the state moves by
+plus K r.""", ("return K", "return -K"))
 
 
 @kalman_update.mistake("S not inverted", "The gain is P H^T S^-1: solve with S, do not multiply by it.")
@@ -273,6 +272,14 @@ def stacked_noise(V, n):
 
     V : (4, 4), px^2, of one measurement. n : how many. Returns (4n, 4n), px^2, measurement after measurement.
     """
+    W = np.zeros((4 * n, 4 * n))
+    for i in range(n):
+        W[4 * i:4 * i + 4, 4 * i:4 * i + 4] = V
+    return W
+
+
+@stacked_noise.otherwise
+def _(V, n):
     return np.kron(np.eye(n), V)
 
 
@@ -288,10 +295,8 @@ def _(V, n):
     return np.kron(V, np.eye(n))
 
 
-@stacked_noise.mistake("correlations dropped", """Only the diagonal of V has arrived. V is a full matrix and its blocks
-are copied whole.""")
-def _(V, n):
-    return np.kron(np.eye(n), np.diag(np.diag(V)))
+stacked_noise.slip("correlations dropped", """Only the diagonal of V has arrived. V is a full matrix and its blocks
+are copied whole.""", (" V", " np.diag(np.diag(V))"))
 
 
 @stacked_noise.mistake("V of one measurement", """One V for each of the n measurements: (4n, 4n), not the sum or mean of
@@ -318,23 +323,19 @@ def correct_landmarks(landmarks, ids, accepted, delta):
     passed the gate. delta : (n, 3), m, correction of each measured landmark. Returns (M, 3), m.
     """
     new = landmarks.copy()
-    new[ids[accepted]] += delta[accepted]
+    for i in range(len(ids)):
+        if accepted[i]:
+            new[ids[i]] += delta[i]
     return new
 
 
-@correct_landmarks.mistake("chained indexing updates a copy", """new[ids][accepted] += ... changes the temporary array
-that new[ids] made, and nothing else. Index once: new[ids[accepted]] += delta[accepted].""")
-def _(landmarks, ids, accepted, delta):
-    new = landmarks.copy()
-    new[ids][accepted] += delta[accepted]
-    return new
+correct_landmarks.slip("chained indexing updates a copy", """new[ids][accepted] += ... changes the temporary array
+that new[ids] made, and nothing else. Index once: new[ids[accepted]] += delta[accepted].""",
+                       ("return new", "return landmarks"))
 
 
-@correct_landmarks.mistake("gate ignored", "Measurements that the gate rejected must not move their landmark.")
-def _(landmarks, ids, accepted, delta):
-    new = landmarks.copy()
-    new[ids] += delta
-    return new
+correct_landmarks.slip("gate ignored", "Measurements that the gate rejected must not move their landmark.",
+                       ("accepted[i]", "accepted[0]"))
 
 
 @correct_landmarks.mistake("first rows instead of the accepted ones", """delta has a row for each measurement, rejected
@@ -345,9 +346,5 @@ def _(landmarks, ids, accepted, delta):
     return new
 
 
-@correct_landmarks.mistake("correction put in place of the landmark", """delta is a correction: add it (+=), do not
-assign it (=).""")
-def _(landmarks, ids, accepted, delta):
-    new = landmarks.copy()
-    new[ids[accepted]] = delta[accepted]
-    return new
+correct_landmarks.slip("correction put in place of the landmark", """delta is a correction: add it (+=), do not
+assign it (=).""", ("new[ids[i]] += delta[i]", "new[ids[i]] = delta[i]"))

@@ -25,17 +25,17 @@ def odot(point):
 
     point : (3,), m. Returns (4, 6). You may use `se3.so3_hat`.
     """
-    return se3.odot(point)
+    D = np.zeros((4, 6))
+    D[:3, :3] = np.eye(3)
+    D[:3, 3:] = -se3.so3_hat(point)
+    return D
 
 
-@odot.mistake("sign of the hat", "omega x s = -s x omega: the block is -s^.")
-def _(point):
-    return se3.odot(point) * [1, 1, 1, -1, -1, -1]
+odot.slip("sign of the hat", "omega x s = -s x omega: the block is -s^.", ("-se3.so3_hat(point)", "se3.so3_hat(point)"))
 
 
-@odot.mistake("rotation and translation swapped", "The columns follow the twist [v, omega]: I first, -s^ second.")
-def _(point):
-    return np.roll(se3.odot(point), 3, axis=1)
+odot.slip("rotation and translation swapped", "The columns follow the twist [v, omega]: I first, -s^ second.",
+          ("return D", "return np.roll(D, 3, axis=-1)"))
 
 
 @odot.mistake("last row not zero", """hat(xi) has a zero last row: a direction of motion has a zero where a point has
@@ -57,7 +57,11 @@ def pose_jacobian(camera, world_T_imu, landmark):
     Returns (4, 6), px per [m, rad]: -K_s dpi/dq(q) cam_T_imu odot(s), s = T^-1 m in the IMU frame, q = cam_T_imu s.
     You may use `se3`.
     """
-    return camera.pose_jacobian(world_T_imu, landmark)
+    R, p = world_T_imu[:3, :3], world_T_imu[:3, 3]
+    s = R.T @ (landmark - p)
+    q = camera.cam_T_imu[:3, :3] @ s + camera.cam_T_imu[:3, 3]
+    J = camera.projection_jacobian(q)[:, :3] @ camera.cam_T_imu[:3, :3]
+    return -J @ np.hstack([np.eye(3), -se3.so3_hat(s)])
 
 
 def _s_and_J(camera, world_T_imu, landmark):
@@ -65,17 +69,13 @@ def _s_and_J(camera, world_T_imu, landmark):
     return s, camera.projection_jacobian(se3.transform(camera.cam_T_imu, s))
 
 
-@pose_jacobian.mistake("extrinsics forgotten", """odot(s) is expressed in the IMU frame, dpi/dq in the camera frame:
-cam_T_imu stands between them.""")
-def _(camera, world_T_imu, landmark):
-    s, J = _s_and_J(camera, world_T_imu, landmark)
-    return -J @ se3.odot(s)
+pose_jacobian.slip("extrinsics forgotten", """odot(s) is expressed in the IMU frame, dpi/dq in the camera frame:
+cam_T_imu stands between them.""",
+    ("camera.projection_jacobian(q)[:, :3] @ camera.cam_T_imu[:3, :3]", "camera.projection_jacobian(q)[:, :3]"))
 
 
-@pose_jacobian.mistake("sign flipped", """When the camera moves forward the points come towards it: the Jacobian carries
-a minus sign, because the pose enters through its inverse.""")
-def _(camera, world_T_imu, landmark):
-    return -camera.pose_jacobian(world_T_imu, landmark)
+pose_jacobian.slip("sign flipped", """When the camera moves forward the points come towards it: the Jacobian carries
+a minus sign, because the pose enters through its inverse.""", ("-J", "J"))
 
 
 @pose_jacobian.mistake("world and body mixed", """This belongs to exp(e^) T, a perturbation expressed in the world
@@ -85,16 +85,12 @@ def _(camera, world_T_imu, landmark):
     return -J @ camera.cam_T_imu @ se3.inverse(world_T_imu) @ se3.odot(landmark)
 
 
-@pose_jacobian.mistake("rotation and translation swapped", "The columns follow e = [v, omega]: position first.")
-def _(camera, world_T_imu, landmark):
-    return np.roll(camera.pose_jacobian(world_T_imu, landmark), 3, axis=1)
+pose_jacobian.slip("rotation and translation swapped", "The columns follow e = [v, omega]: position first.",
+    ("np.hstack([np.eye(3), -se3.so3_hat(s)])", "np.roll(np.hstack([np.eye(3), -se3.so3_hat(s)]), 3, axis=-1)"))
 
 
-@pose_jacobian.mistake("odot of the point in the camera frame", """The perturbation turns the body about the IMU:
-odot(s) with s in the IMU frame, not odot(q).""")
-def _(camera, world_T_imu, landmark):
-    s, J = _s_and_J(camera, world_T_imu, landmark)
-    return -J @ camera.cam_T_imu @ se3.odot(se3.transform(camera.cam_T_imu, s))
+pose_jacobian.slip("odot of the point in the camera frame", """The perturbation turns the body about the IMU:
+odot(s) with s in the IMU frame, not odot(q).""", ("s)", "q)"))
 
 
 @pose_jacobian.mistake("1/q3 forgotten", "dpi/dq carries a factor 1/q_3.")
@@ -131,28 +127,25 @@ def pose_update(camera, world_T_imu, covariance, landmarks, pixels, sigma_px):
     (n, 3), m, world. pixels : (n, 4), measured. sigma_px : px. Returns world_T_imu (4, 4) and covariance (6, 6)
     afterwards. You may use `se3` and `kalman.update`.
     """
-    delta, P = _correction(camera, world_T_imu, covariance, landmarks, pixels, sigma_px**2 * np.eye(pixels.size))
-    return world_T_imu @ se3.exp(delta), P
+    predicted = camera.observe(world_T_imu, landmarks)[0]
+    residual = (pixels - predicted).ravel()
+    H = camera.pose_jacobian(world_T_imu, landmarks).reshape(-1, 6)
+    V = sigma_px**2 * np.eye(len(residual))
+    K = covariance @ H.T @ np.linalg.inv(H @ covariance @ H.T + V)
+    delta = K @ residual
+    return world_T_imu @ se3.exp(delta), (np.eye(6) - K @ H) @ covariance
 
 
-@pose_update.mistake("world and body mixed", """The correction is a right perturbation, expressed in the body frame: T
-exp(delta^), not exp(delta^) T.""")
-def _(camera, world_T_imu, covariance, landmarks, pixels, sigma_px):
-    delta, P = _correction(camera, world_T_imu, covariance, landmarks, pixels, sigma_px**2 * np.eye(pixels.size))
-    return se3.exp(delta) @ world_T_imu, P
+pose_update.slip("world and body mixed", """The correction is a right perturbation, expressed in the body frame: T
+exp(delta^), not exp(delta^) T.""", ("world_T_imu @ se3.exp(delta)", "se3.exp(delta) @ world_T_imu"))
 
 
-@pose_update.mistake("residual of the wrong sign", "The residual is measured minus predicted, not the reverse.")
-def _(camera, world_T_imu, covariance, landmarks, pixels, sigma_px):
-    delta, P = _correction(camera, world_T_imu, covariance, landmarks, pixels, sigma_px**2 * np.eye(pixels.size))
-    return world_T_imu @ se3.exp(-delta), P
+pose_update.slip("residual of the wrong sign", "The residual is measured minus predicted, not the reverse.",
+                 ("= K", "= -K"))
 
 
-@pose_update.mistake("correction added", """A pose is not corrected by adding: T (I + delta^) is no pose any more. Use
-the exponential.""")
-def _(camera, world_T_imu, covariance, landmarks, pixels, sigma_px):
-    delta, P = _correction(camera, world_T_imu, covariance, landmarks, pixels, sigma_px**2 * np.eye(pixels.size))
-    return world_T_imu @ (np.eye(4) + se3.hat(delta)), P
+pose_update.slip("correction added", """A pose is not corrected by adding: T (I + delta^) is no pose any more. Use
+the exponential.""", ("se3.exp(delta)", "(np.eye(4) + se3.hat(delta))"))
 
 
 @pose_update.mistake("position and rotation corrected apart", """exp(delta^) corrects position and rotation as one
@@ -172,9 +165,7 @@ def _(camera, world_T_imu, covariance, landmarks, pixels, sigma_px):
     return world_T_imu @ se3.exp(K @ residual), (np.eye(6) - K @ H) @ covariance
 
 
-@pose_update.mistake("sigma not squared", "V holds variances: sigma_px squared.")
-def _(camera, world_T_imu, covariance, landmarks, pixels, sigma_px):
-    return pose_update.reference(camera, world_T_imu, covariance, landmarks, pixels, sigma_px**0.5)
+pose_update.slip("sigma not squared", "V holds variances: sigma_px squared.", ("2", "1"))
 
 
 @pose_update.mistake("position and rotation taken for independent", """Only the diagonal blocks of the covariance were

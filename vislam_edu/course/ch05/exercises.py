@@ -37,7 +37,22 @@ def predict_joint(covariance, F, W):
     covariance : (3n+6, 3n+6), landmarks first, then the pose. F : (6, 6), transition of the pose error. W : (6, 6).
     Returns (3n+6, 3n+6).
     """
-    return _carried(covariance, F, W)
+    n = len(covariance) - 6
+    P = covariance.copy()
+    P[n:, n:] = F @ covariance[n:, n:] @ F.T + W
+    P[:n, n:] = covariance[:n, n:] @ F.T
+    P[n:, :n] = F @ covariance[n:, :n]
+    return P
+
+
+@predict_joint.otherwise
+def _(covariance, F, W):
+    n = len(covariance) - 6
+    A = np.eye(n + 6)
+    A[n:, n:] = F
+    P = A @ covariance @ A.T
+    P[n:, n:] += W
+    return P
 
 
 @predict_joint.mistake("cross-covariances not propagated", """Only the pose block was carried along. What ties pose and
@@ -46,13 +61,8 @@ def _(covariance, F, W):
     return _carried(covariance, F, W, cross=False)
 
 
-@predict_joint.mistake("one cross-covariance not written", """Both cross blocks change, one is the transpose of the
-other: writing P_LR alone leaves the matrix unsymmetric.""")
-def _(covariance, F, W):
-    n = len(covariance) - 6
-    new = _carried(covariance, F, W)
-    new[n:, :n] = covariance[n:, :n]
-    return new
+predict_joint.slip("one cross-covariance not written", """Both cross blocks change, one is the transpose of the
+other: writing P_LR alone leaves the matrix unsymmetric.""", ("P[n:, :n]", "covariance[n:, :n]"))
 
 
 @predict_joint.mistake("cross-covariances set to zero", """Moving does not make the pose independent of the map: P_LR
@@ -72,12 +82,9 @@ def _(covariance, F, W):
     return new
 
 
-@predict_joint.mistake("chained indexing updates a copy", """P[rows][:, columns] = ... changes the temporary array that
-P[rows] made, if rows is an array or a mask. Use P[np.ix_(rows, columns)] or slices, P[n:, n:].""")
-def _(covariance, F, W):
-    new, pose = covariance.copy(), np.arange(len(covariance) - 6, len(covariance))
-    new[pose][:, pose] = F @ new[np.ix_(pose, pose)] @ F.T + W
-    return new
+predict_joint.slip("chained indexing updates a copy", """P[rows][:, columns] = ... changes the temporary array that
+P[rows] made, if rows is an array or a mask. Use P[np.ix_(rows, columns)] or slices, P[n:, n:].""",
+                   ("return P", "return covariance"))
 
 
 @predict_joint.mistake("pose taken to come first", """The state is ordered landmarks first, then pose: the pose is the
@@ -123,16 +130,22 @@ def new_landmark(covariance, world_T_imu, point_imu, C):
     triangulated point s in the IMU frame. C : (3, 3), m^2, covariance of its triangulation, in the IMU frame.
     Returns the landmark (3,), m, world, and the covariance (3n+9, 3n+9). You may use `se3`.
     """
-    G, R = _G(world_T_imu, point_imu), world_T_imu[:3, :3]
-    return _born(covariance, world_T_imu, point_imu, G, G @ covariance[-6:, -6:] @ G.T + R @ C @ R.T)
+    R, p = world_T_imu[:3, :3], world_T_imu[:3, 3]
+    n = len(covariance) - 6
+    G = R @ np.hstack([np.eye(3), -se3.so3_hat(point_imu)])
+    cross = G @ covariance[n:]
+    own = G @ covariance[n:, n:] @ G.T + R @ C @ R.T
+    P = np.zeros((n + 9, n + 9))
+    old = np.r_[:n, n + 3:n + 9]
+    P[np.ix_(old, old)] = covariance
+    P[n:n + 3, old] = cross
+    P[old, n:n + 3] = cross.T
+    P[n:n + 3, n:n + 3] = own
+    return R @ point_imu + p, P
 
 
-@new_landmark.mistake("no correlation with the pose", """The landmark was placed from the pose, so it shares the pose's
-error: its cross-covariances are G P_R., not zero.""")
-def _(covariance, world_T_imu, point_imu, C):
-    G, R = _G(world_T_imu, point_imu), world_T_imu[:3, :3]
-    own = G @ covariance[-6:, -6:] @ G.T + R @ C @ R.T
-    return _born(covariance, world_T_imu, point_imu, G, own, np.zeros((3, len(covariance))))
+new_landmark.slip("no correlation with the pose", """The landmark was placed from the pose, so it shares the pose's
+error: its cross-covariances are G P_R., not zero.""", ("cross = G", "cross = 0 * G"))
 
 
 @new_landmark.mistake("cross-covariances with old landmarks never written", """The pose is correlated with the landmarks
@@ -144,11 +157,8 @@ def _(covariance, world_T_imu, point_imu, C):
     return _born(covariance, world_T_imu, point_imu, G, G @ covariance[-6:, -6:] @ G.T + R @ C @ R.T, cross)
 
 
-@new_landmark.mistake("pose assumed known", """R C R^T is the landmark's uncertainty if the pose were exact. The pose's
-own error comes on top: G P_RR G^T, and the correlation with it.""")
-def _(covariance, world_T_imu, point_imu, C):
-    G, R = _G(world_T_imu, point_imu), world_T_imu[:3, :3]
-    return _born(covariance, world_T_imu, point_imu, G, R @ C @ R.T, np.zeros((3, len(covariance))))
+new_landmark.slip("pose assumed known", """R C R^T is the landmark's uncertainty if the pose were exact. The pose's
+own error comes on top: G P_RR G^T, and the correlation with it.""", ("= R", "= 0 * R"))
 
 
 @new_landmark.mistake("the report's 2 I", """The report gives every new landmark 2 m^2 per axis and no correlation. A
@@ -167,11 +177,8 @@ def _(covariance, world_T_imu, point_imu, C):
     return m, kalman.update(P, H, C, np.zeros(3))[1]
 
 
-@new_landmark.mistake("triangulation not turned into the world", """C is expressed in the IMU frame, the landmark in the
-world: R C R^T.""")
-def _(covariance, world_T_imu, point_imu, C):
-    G = _G(world_T_imu, point_imu)
-    return _born(covariance, world_T_imu, point_imu, G, G @ covariance[-6:, -6:] @ G.T + C)
+new_landmark.slip("triangulation not turned into the world", """C is expressed in the IMU frame, the landmark in the
+world: R C R^T.""", ("R @ C", "C @ R"))
 
 
 @new_landmark.mistake("world and body mixed", """[I, -m^] belongs to a perturbation expressed in the world frame. For
@@ -218,7 +225,11 @@ def joint_jacobian(H_landmark, H_pose, rows, n):
     H_landmark : (m, 4, 3), px/m. H_pose : (m, 4, 6), px per [m, rad]. rows : (m,), which landmark of the state each
     measurement shows. n : landmarks in the state. Returns (4m, 3n+6), measurement after measurement.
     """
-    return _assembled(H_landmark, H_pose, n, lambda i: slice(3 * rows[i], 3 * rows[i] + 3))
+    H = np.zeros((4 * len(rows), 3 * n + 6))
+    for i in range(len(rows)):
+        H[4 * i:4 * i + 4, 3 * rows[i]:3 * rows[i] + 3] = H_landmark[i]
+        H[4 * i:4 * i + 4, 3 * n:] = H_pose[i]
+    return H
 
 
 @joint_jacobian.mistake("interleaved and grouped orders mixed", """The state is x0 y0 z0 x1 y1 z1 ...: landmark j has
@@ -246,10 +257,8 @@ def _(H_landmark, H_pose, rows, n):
     return np.roll(joint_jacobian.reference(H_landmark, H_pose, rows, n), 6, axis=1)
 
 
-@joint_jacobian.mistake("pose block forgotten", """Every measurement depends on the pose too: its block goes into the
-last six columns.""")
-def _(H_landmark, H_pose, rows, n):
-    return joint_jacobian.reference(H_landmark, 0 * H_pose, rows, n)
+joint_jacobian.slip("pose block forgotten", """Every measurement depends on the pose too: its block goes into the
+last six columns.""", ("H_pose[i]", "0 * H_pose[i]"))
 
 
 def joint_updates(rng):
@@ -276,15 +285,16 @@ def joint_update(world_T_imu, landmarks, covariance, H, residual, V):
     H : (k, 3n+6). residual : (k,), px, measured minus predicted. V : (k, k), px^2.
     Returns world_T_imu (4, 4), landmarks (n, 3) and covariance (3n+6, 3n+6). You may use `se3` and `kalman.update`.
     """
-    return _moved(world_T_imu, landmarks, *kalman.update(covariance, H, V, residual))
+    n = 3 * len(landmarks)
+    K = covariance @ H.T @ np.linalg.inv(H @ covariance @ H.T + V)
+    delta = K @ residual
+    P = (np.eye(n + 6) - K @ H) @ covariance
+    return world_T_imu @ se3.exp(delta[n:]), landmarks + delta[:n].reshape(-1, 3), P
 
 
-@joint_update.mistake("interleaved and grouped orders mixed", """delta is x0 y0 z0 x1 y1 z1 ...: reshape(n, 3). With
-reshape(3, n).T the coordinates of different landmarks change places.""")
-def _(world_T_imu, landmarks, covariance, H, residual, V):
-    delta, P = kalman.update(covariance, H, V, residual)
-    n = landmarks.size
-    return world_T_imu @ se3.exp(delta[n:]), landmarks + delta[:n].reshape(3, -1).T, P
+joint_update.slip("interleaved and grouped orders mixed", """delta is x0 y0 z0 x1 y1 z1 ...: reshape(n, 3). With
+reshape(3, n).T the coordinates of different landmarks change places.""",
+                  ("delta[:n].reshape(-1, 3)", "delta[:n].reshape(3, -1).T"))
 
 
 @joint_update.mistake("cross-covariances cut", """Landmarks and pose were taken for independent. Their correlation is
@@ -295,29 +305,17 @@ def _(world_T_imu, landmarks, covariance, H, residual, V):
     return _moved(world_T_imu, landmarks, *kalman.update(apart, H, V, residual))
 
 
-@joint_update.mistake("chained indexing updates a copy", """new[seen][...] += ... changes a temporary array: the
-landmarks came back as they were. Index once.""")
-def _(world_T_imu, landmarks, covariance, H, residual, V):
-    delta, P = kalman.update(covariance, H, V, residual)
-    return world_T_imu @ se3.exp(delta[landmarks.size:]), landmarks.copy(), P
+joint_update.slip("chained indexing updates a copy", """new[seen][...] += ... changes a temporary array: the
+landmarks came back as they were. Index once.""", ("landmarks + delta[:n].reshape(-1, 3)", "landmarks"))
 
 
-@joint_update.mistake("world and body mixed", """The pose's correction is a right perturbation, expressed in the body
-frame: T exp(delta^), not exp(delta^) T.""")
-def _(world_T_imu, landmarks, covariance, H, residual, V):
-    delta, P = kalman.update(covariance, H, V, residual)
-    n = landmarks.size
-    return se3.exp(delta[n:]) @ world_T_imu, landmarks + delta[:n].reshape(-1, 3), P
+joint_update.slip("world and body mixed", """The pose's correction is a right perturbation, expressed in the body
+frame: T exp(delta^), not exp(delta^) T.""", ("world_T_imu @ se3.exp(delta[n:])", "se3.exp(delta[n:]) @ world_T_imu"))
 
 
-@joint_update.mistake("pose not corrected", "The last six entries of delta correct the pose.")
-def _(world_T_imu, landmarks, covariance, H, residual, V):
-    delta, P = kalman.update(covariance, H, V, residual)
-    return world_T_imu.copy(), landmarks + delta[:landmarks.size].reshape(-1, 3), P
+joint_update.slip("pose not corrected", "The last six entries of delta correct the pose.",
+                  ("delta[n:]", "0 * delta[n:]"))
 
 
-@joint_update.mistake("correction added", "T (I + delta^) is no pose any more. Use the exponential.")
-def _(world_T_imu, landmarks, covariance, H, residual, V):
-    delta, P = kalman.update(covariance, H, V, residual)
-    n = landmarks.size
-    return world_T_imu @ (np.eye(4) + se3.hat(delta[n:])), landmarks + delta[:n].reshape(-1, 3), P
+joint_update.slip("correction added", "T (I + delta^) is no pose any more. Use the exponential.",
+                  ("se3.exp(delta[n:])", "(np.eye(4) + se3.hat(delta[n:]))"))

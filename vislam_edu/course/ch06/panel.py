@@ -8,8 +8,9 @@ from matplotlib.collections import PolyCollection
 from ... import metrics, odometry, window_slam
 from ...error_state import RightInvariant, RightPerturbation
 from ...noise import Noise
-from ...plots.style import COLOURS, ellipse_points, two_digits
-from ...studies.pipeline import right_pose_covariance
+from ...plots.style import COLOURS, ellipse_points
+from ...plots.text import two_digits
+from ...studies.runs import record
 from ...widgets.canvas import Decades, Number, Picture, Switch
 from ...widgets.history import frame_nis
 from ...widgets.panels import LETTERING, TITLE, add_axes, legend, nis_band
@@ -88,9 +89,8 @@ class TuningPicture(Picture):
         process_frame = window_slam.as_report if report_birth else window_slam.correlated
         steps = list(window_slam.run(self.drive, noise, error_state, process_frame=process_frame, gate=1,
                                      world_T_imu=self.world_T_imu))
-        poses = np.array([step.posterior.world_T_imu for step in steps])
-        claimed = np.array([step.posterior.pose_covariance for step in steps])
-        right = np.array([right_pose_covariance(step.posterior, error_state) for step in steps])
+        run = record(steps, error_state)
+        poses, right = run.world_T_imu, run.right_covariance
         R = poses[:, :3, :3]
         nis, numbers = np.transpose([frame_nis(step, self.drive, error_state) for step in steps])
         truth = self.drive.true_world_T_imu
@@ -99,9 +99,9 @@ class TuningPicture(Picture):
             RightPerturbation().pose_difference(truth, poses),
             np.sqrt(np.diagonal(right, axis1=1, axis2=2)),
             (R @ right[:, :3, :3] @ R.swapaxes(1, 2))[:, :2, :2],
-            metrics.pose_nees(error_state, truth, poses, claimed).pose,
+            run.nees(truth),
             nis / np.where(numbers > 0, numbers, np.nan),
-            metrics.average_nis(steps),
+            run.mean_nis,
         )
 
     def build(self):

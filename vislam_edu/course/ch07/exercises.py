@@ -34,27 +34,25 @@ def invariant_noise(world_T_imu, landmarks, body_noise):
     body_noise : (6, 6), tau J_r(tau u), twist error to pose error in the body frame. Returns N (3n+6, 6), so that
     P' = P + N Q N^T. You may use `se3`.
     """
-    B = _INVARIANT.pose_transition(world_T_imu, np.eye(4), body_noise)[1]
-    return _stacked(_INVARIANT.landmark_transition(landmarks, B), B)
-
-
-@invariant_noise.mistake("landmarks left out", """The landmarks stand still, but their error is expressed relative to a
-world that turns with the pose's error: m^ B_R. Without it the filter is inconsistent again.""")
-def _(world_T_imu, landmarks, body_noise):
-    return _stacked(np.zeros((len(landmarks), 3, 6)), se3.adjoint(world_T_imu) @ body_noise)
-
-
-@invariant_noise.mistake("world and body mixed", """The IMU's noise is expressed in the body frame, the invariant error
-in the world: the Adjoint of the pose stands between them.""")
-def _(world_T_imu, landmarks, body_noise):
-    return _stacked(se3.so3_hat(landmarks) @ body_noise[3:], body_noise)
-
-
-@invariant_noise.mistake("sign of m^", """A turn x of the world moves a landmark by x^ m = -m^ x, which its error has to
-make good: +m^ B_R.""")
-def _(world_T_imu, landmarks, body_noise):
     B = se3.adjoint(world_T_imu) @ body_noise
-    return _stacked(-se3.so3_hat(landmarks) @ B[3:], B)
+    rows = []
+    for k in range(len(landmarks)):
+        m = landmarks[k]
+        rows.append(se3.so3_hat(m) @ B[3:])
+    rows.append(B)
+    return np.vstack(rows)
+
+
+invariant_noise.slip("landmarks left out", """The landmarks stand still, but their error is expressed relative to a
+world that turns with the pose's error: m^ B_R. Without it the filter is inconsistent again.""", ("m)", "0 * m)"))
+
+
+invariant_noise.slip("world and body mixed", """The IMU's noise is expressed in the body frame, the invariant error
+in the world: the Adjoint of the pose stands between them.""", ("se3.adjoint(world_T_imu)", "np.eye(6)"))
+
+
+invariant_noise.slip("sign of m^", """A turn x of the world moves a landmark by x^ m = -m^ x, which its error has to
+make good: +m^ B_R.""", ("m)", "-m)"))
 
 
 @invariant_noise.mistake("p^ R of the Adjoint forgotten", """The error turns about the world's origin, not about the
@@ -65,11 +63,8 @@ def _(world_T_imu, landmarks, body_noise):
     return _stacked(se3.so3_hat(landmarks) @ B[3:], B)
 
 
-@invariant_noise.mistake("Adjoint of the inverse", """From the body into the world goes Ad(world_T_imu), not that of its
-inverse.""")
-def _(world_T_imu, landmarks, body_noise):
-    B = se3.adjoint(se3.inverse(world_T_imu)) @ body_noise
-    return _stacked(se3.so3_hat(landmarks) @ B[3:], B)
+invariant_noise.slip("Adjoint of the inverse", """From the body into the world goes Ad(world_T_imu), not that of its
+inverse.""", ("world_T_imu)", "np.linalg.inv(world_T_imu))"))
 
 
 def measurements(rng):
@@ -88,7 +83,10 @@ def invariant_jacobian(J, world_T_imu):
     J : (n, 4, 3), px/m, derivative of the pixels by the point in the IMU frame. world_T_imu : (4, 4).
     Returns H_landmark (n, 4, 3) and H_pose (n, 4, 6), columns [position, rotation].
     """
-    return _INVARIANT.jacobians(world_T_imu, np.zeros((len(J), 3)), J)
+    R = world_T_imu[:3, :3]
+    H_landmark = J @ R.T
+    H_pose = np.concatenate([-H_landmark, np.zeros(J.shape)], axis=-1)
+    return H_landmark, H_pose
 
 
 @invariant_jacobian.mistake("rotation kept", """Columns for the rotation other than zero tell the filter that one look
@@ -98,30 +96,20 @@ def _(J, world_T_imu):
     return H, np.concatenate([-H, H @ se3.so3_hat(world_T_imu[:3, 3])], axis=-1)
 
 
-@invariant_jacobian.mistake("expressed in the body frame", """-J alone is the right perturbation's block, expressed in
-the body frame. Here the position error is expressed in the world: -J R^T.""")
-def _(J, world_T_imu):
-    return J @ world_T_imu[:3, :3].T, np.concatenate([-J, np.zeros_like(J)], axis=-1)
+invariant_jacobian.slip("expressed in the body frame", """-J alone is the right perturbation's block, expressed in
+the body frame. Here the position error is expressed in the world: -J R^T.""", ("[-H_landmark", "[-J"))
 
 
-@invariant_jacobian.mistake("sign of the position", """Landmark and position enter as m - p: the position's block is
-minus the landmark's.""")
-def _(J, world_T_imu):
-    H = J @ world_T_imu[:3, :3].T
-    return H, np.concatenate([H, np.zeros_like(H)], axis=-1)
+invariant_jacobian.slip("sign of the position", """Landmark and position enter as m - p: the position's block is
+minus the landmark's.""", ("-H_landmark", "H_landmark"))
 
 
-@invariant_jacobian.mistake("R in place of its transpose", "The point in the IMU frame is R^T (m - p): the transpose.")
-def _(J, world_T_imu):
-    H = J @ world_T_imu[:3, :3]
-    return H, np.concatenate([-H, np.zeros_like(H)], axis=-1)
+invariant_jacobian.slip("R in place of its transpose", "The point in the IMU frame is R^T (m - p): the transpose.",
+                        ("R.T", "R"))
 
 
-@invariant_jacobian.mistake("rotation and translation swapped", """The columns are [position, rotation]: zero stands on
-the right.""")
-def _(J, world_T_imu):
-    H = J @ world_T_imu[:3, :3].T
-    return H, np.concatenate([np.zeros_like(H), -H], axis=-1)
+invariant_jacobian.slip("rotation and translation swapped", """The columns are [position, rotation]: zero stands on
+the right.""", ("H_landmark, H_pose", "H_landmark, np.roll(H_pose, 3, axis=-1)"))
 
 
 def corrections(rng):
@@ -151,31 +139,34 @@ def invariant_retract(world_T_imu, landmarks, delta):
     world_T_imu : (4, 4). landmarks : (n, 3), m, world. delta : (3n+6,), [landmarks, position, rotation].
     Returns world_T_imu (4, 4) and landmarks (n, 3). You may use `se3`.
     """
-    return _INVARIANT.retract(world_T_imu, landmarks, delta)
+    R, p = world_T_imu[:3, :3], world_T_imu[:3, 3]
+    n = 3 * len(landmarks)
+    x_p, x_R = delta[n:n + 3], delta[n + 3:]
+    turn = se3.so3_exp(x_R)
+    J = se3.so3_left_jacobian(x_R)
+    T = np.eye(4)
+    T[:3, :3] = turn @ R
+    T[:3, 3] = turn @ p + J @ x_p
+    moved = []
+    for m, x_m in zip(landmarks, delta[:n].reshape(-1, 3)):
+        moved.append(turn @ m + J @ x_m)
+    return T, np.array(moved)
 
 
-@invariant_retract.mistake("left Jacobian forgotten", """Every translation is multiplied by J_l(x_R). Leaving it out
-looks harmless and cost a factor of six in NEES.""")
-def _(world_T_imu, landmarks, delta):
-    return _turned(world_T_imu, landmarks, delta, np.eye(3))
+invariant_retract.slip("left Jacobian forgotten", """Every translation is multiplied by J_l(x_R). Leaving it out
+looks harmless and cost a factor of six in NEES.""", ("se3.so3_left_jacobian(x_R)", "np.eye(3)"))
 
 
-@invariant_retract.mistake("right Jacobian", """The translations are multiplied by the left Jacobian, J_l(x_R), not by
-the right one.""")
-def _(world_T_imu, landmarks, delta):
-    return _turned(world_T_imu, landmarks, delta, se3.so3_right_jacobian(delta[-3:]))
+invariant_retract.slip("right Jacobian", """The translations are multiplied by the left Jacobian, J_l(x_R), not by
+the right one.""", ("se3.so3_left_jacobian", "se3.so3_right_jacobian"))
 
 
-@invariant_retract.mistake("landmarks not turned", """x_R turns the whole world, landmarks included: exp(x_R) m, then
-the shift.""")
-def _(world_T_imu, landmarks, delta):
-    return _turned(world_T_imu, landmarks, delta, se3.so3_left_jacobian(delta[-3:]), turn_landmarks=False)
+invariant_retract.slip("landmarks not turned", """x_R turns the whole world, landmarks included: exp(x_R) m, then
+the shift.""", ("turn @ m", "m"))
 
 
-@invariant_retract.mistake("position not turned", """x_R turns the car's position about the world's origin too: exp(x_R)
-p.""")
-def _(world_T_imu, landmarks, delta):
-    return _turned(world_T_imu, landmarks, delta, se3.so3_left_jacobian(delta[-3:]), turn_position=False)
+invariant_retract.slip("position not turned", """x_R turns the car's position about the world's origin too: exp(x_R)
+p.""", ("turn @ p", "p"))
 
 
 @invariant_retract.mistake("world and body mixed", """This is the right perturbation's T exp(delta^) and m + delta. The

@@ -33,7 +33,12 @@ def axis_signs(gyro, seen):
     times. Returns (3,): for each axis 1 where the correlation of the two is above 0.5, -1 where it is below -0.5 (the
     cure is to turn the axis round), and 0 where it is neither (nothing can be said). Both may have a constant offset.
     """
-    return _signs(_correlation(gyro, seen))
+    signs = np.zeros(3)
+    for i in range(3):
+        r = np.corrcoef(gyro[:, i], seen[:, i])[0, 1]
+        if abs(r) > 0.5:
+            signs[i] = np.sign(r)
+    return signs
 
 
 @axis_signs.mistake("mean not subtracted", """A correlation is taken after the mean of each signal is subtracted;
@@ -43,11 +48,9 @@ def _(gyro, seen):
     return _signs(np.sum(gyro * seen, axis=0) / size)
 
 
-@axis_signs.mistake("no threshold", "Where the correlation is small, chance decides its sign: return 0 there.")
-def _(gyro, seen):
-    return np.sign(_correlation(gyro, seen))
+axis_signs.slip("no threshold", "Where the correlation is small, chance decides its sign: return 0 there.",
+                ("0.5", "0"))
 
 
-@axis_signs.mistake("turned round", "1 says that an axis agrees with the cameras, -1 that it has to be turned round.")
-def _(gyro, seen):
-    return -_signs(_correlation(gyro, seen))
+axis_signs.slip("turned round", "1 says that an axis agrees with the cameras, -1 that it has to be turned round.",
+                ("np.sign(r", "np.sign(-r"))

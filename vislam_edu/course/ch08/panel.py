@@ -54,7 +54,7 @@ def ground(path):
 class CuresPicture(Picture):
     """The path from above and its distance from the reference, with a switch for each cure that the audit names.
 
-    report : `audit_report.Report`. noise : Noise. Findings without a cure have no switch.
+    report : `report.Report`. noise : Noise. Findings without a cure have no switch.
     The reference is the ground truth; a recording without it is held against the path with every cure, which says what
     a cure changes and not whether it is right.
     faults : names of the findings with a cure, in the order of the audit.

@@ -6,7 +6,7 @@ The course's `10.npz` where a student has it; else a simulated drive of its size
 from dataclasses import replace
 
 from ... import odometry, recordings, simulate, window_slam
-from ...error_state import RightInvariant, RightPerturbation
+from ...error_state import RightPerturbation
 from ...noise import Noise
 from ...plots import report_figures
 from ...studies import pipeline
@@ -22,8 +22,7 @@ def load(frames=FRAMES):
 
 def paths(drive, noise, error_state):
     """Dead reckoning, a Trajectory, and the joint filter with every landmark, a `pipeline.Slam`."""
-    method = "invariant" if isinstance(error_state, RightInvariant) else "slam"
-    return odometry.dead_reckon(drive, noise), pipeline.joint(drive, noise, error_state, method=method)
+    return odometry.dead_reckon(drive, noise), pipeline.joint(drive, noise, error_state, method=error_state.role)
 
 
 def suboptimal(drive):

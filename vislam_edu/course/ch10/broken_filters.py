@@ -1,51 +1,54 @@
-"""The mistake museum at the wheel: the joint filter with one mistake each, over one drive, from one start.
+"""The joint filter with one mistake each, over one drive, from one start.
 
-`PIECES` holds them in the order of notebook 10; each replaces one piece of the right filter and nothing else.
+`VARIANTS` holds them in the order of notebook 10; each replaces one piece of the right filter and nothing else. Where
+that piece is a line of the package, it is an edit of that line and shows its diff.
 Every mistake was found in a published solution of this very project. Nothing here is right: do not build on it.
 """
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from scipy.linalg import block_diag
 
-from ... import metrics, motion, se3, window_slam
+from ... import motion, window_slam
 from ...error_state import RightPerturbation
-from ...plots import style
+from ...plots.text import two_digits
 from ...stereo import StereoCamera
+from ...studies.runs import Run, attempt
+from ..checks.edit import Edit, diff, edited
+
+
+def wrong(kind: type, method: str, *edits: Edit) -> Any:
+    """A subclass of `kind` with edits in one method; its `diff` shows the wrong lines (-) beside the right ones (+)."""
+    right = getattr(kind, method)
+    text = f"{kind.__name__}.{method}\n{diff(right, *edits)}"
+    return type(kind)(kind.__name__, (kind,), {method: edited(right, *edits), "diff": text})
+
 
 # --- the camera ---------------------------------------------------------------------------------------------
 
-
-class NotDividedByDepth(StereoCamera):
-    """dpi/dq without its factor 1 / q_3."""
-
-    def projection_jacobian(self, points_cam):
-        return points_cam[..., 2, None, None] * super().projection_jacobian(points_cam)
-
-
-class PixelsAsBearings(StereoCamera):
-    """Depth times [u, v, 1], where depth times K^-1 [u, v, 1] belongs."""
-
-    def triangulate(self, pixels, min_disparity=0.0):
-        points, ok = super().triangulate(pixels, min_disparity)
-        return points[:, 2:] * np.column_stack([pixels[:, :2], np.ones(len(pixels))]), ok
-
+NotDividedByDepth = wrong(StereoCamera, "projection_jacobian",
+                          ("self.K_s @ dpi_dq(q)", "q[..., 2, None, None] * self.K_s @ dpi_dq(q)"))
+PixelsAsBearings = wrong(StereoCamera, "triangulate",
+                         ("bearing(self.K, np.stack([u_left, 0.5 * (v_left + v_right)], axis=-1))",
+                          "np.stack([u_left, v_left, np.ones_like(u_left)], axis=-1)"))
 
 # --- the error state ----------------------------------------------------------------------------------------
 
-
-class SignFlipped(RightPerturbation):
-    """+J [I, -s^] for the pose: the inverse in T^-1 m forgotten."""
-
-    def jacobians(self, world_T_imu, landmarks, J):
-        H_landmark, H_pose = super().jacobians(world_T_imu, landmarks, J)
-        return H_landmark, -H_pose
+SignFlipped = wrong(RightPerturbation, "jacobians", ("[-J, J @", "[J, -J @"))
+WorldCorrection = wrong(RightPerturbation, "retract",
+                        ("world_T_imu @ se3.exp(delta[3 * n:])", "se3.exp(delta[3 * n:]) @ world_T_imu"))
+LandmarksOnACopy = wrong(RightPerturbation, "retract", ("landmarks + delta[:3 * n].reshape(n, 3)", "landmarks"))
+GroupedOrder = wrong(RightPerturbation, "retract", (".reshape(n, 3)", ".reshape(3, n).T"))
 
 
 class WithoutExtrinsics(RightPerturbation):
-    """The pose Jacobian -K_s dpi/dq odot(s): what the IMU frame says, written as if in the camera frame."""
+    """The pose Jacobian -K_s dpi/dq odot(s): what the IMU frame says, written as if in the camera frame.
+
+    No edit: the code multiplies by the extrinsics once, for the landmark and for the pose.
+    """
 
     def __init__(self, camera):
         self.imu_R_cam = camera.imu_T_cam[:3, :3]
@@ -55,30 +58,19 @@ class WithoutExtrinsics(RightPerturbation):
         return H_landmark, super().jacobians(world_T_imu, landmarks, J @ self.imu_R_cam)[1]
 
 
-class WorldCorrection(RightPerturbation):
-    """exp(epsilon^) T: a correction expressed in the body frame, applied in the world frame."""
-
-    def retract(self, world_T_imu, landmarks, delta):
-        _, moved = super().retract(world_T_imu, landmarks, delta)
-        return se3.exp(delta[3 * len(landmarks):]) @ world_T_imu, moved
-
-
-class LandmarksOnACopy(RightPerturbation):
-    """landmarks[seen][:] += ...: the correction lands in a temporary array."""
-
-    def retract(self, world_T_imu, landmarks, delta):
-        return super().retract(world_T_imu, landmarks, delta)[0], landmarks
-
-
-class GroupedOrder(RightPerturbation):
-    """delta read as all x, all y, all z, where it is x, y, z of one landmark after the other."""
-
-    def retract(self, world_T_imu, landmarks, delta):
-        n = len(landmarks)
-        return super().retract(world_T_imu, landmarks, delta)[0], landmarks + delta[:3 * n].reshape(3, n).T
-
-
 # --- the motion model ---------------------------------------------------------------------------------------
+
+_TAUS = "taus = drive.taus[:, None]\n"
+
+
+def other_twists(twists):
+    """The motion model of other twists than the drive's. twists : how they are written, in terms of `drive`."""
+    return wrong(motion.ImuDriven, "__init__", (_TAUS, f"{_TAUS}    drive = drive.replace(twists={twists})\n"))
+
+
+NoiseWithoutTau = wrong(motion.ImuDriven, "__init__", ("taus[..., None] * se3.right", "se3.right"))
+SwappedTwist = other_twists("np.roll(drive.twists, 3, axis=1)")
+Degrees = other_twists("np.hstack([drive.twists[:, :3], np.radians(drive.twists[:, 3:])])")
 
 
 class CrossNotPropagated(motion.ImuDriven):
@@ -89,29 +81,6 @@ class CrossNotPropagated(motion.ImuDriven):
         P = after.covariance.copy()
         P[:n, n:], P[n:, :n] = belief.covariance[:n, n:], belief.covariance[n:, :n]
         return replace(after, covariance=P)
-
-
-class NoiseWithoutTau(motion.ImuDriven):
-    """W = diag(sigma^2): the twist's variance taken for that of one step."""
-
-    def __init__(self, drive, noise, error_state):
-        super().__init__(drive, noise, error_state)
-        self.body_noise = self.body_noise / drive.taus[:, None, None]
-
-
-class SwappedTwist(motion.ImuDriven):
-    """[v, omega] handed to an exponential that was written for [omega, v]."""
-
-    def __init__(self, drive, noise, error_state):
-        super().__init__(drive.replace(twists=np.roll(drive.twists, 3, axis=1)), noise, error_state)
-
-
-class Degrees(motion.ImuDriven):
-    """np.radians of a gyro that speaks in radians already."""
-
-    def __init__(self, drive, noise, error_state):
-        turned = np.concatenate([drive.twists[:, :3], np.radians(drive.twists[:, 3:])], axis=1)
-        super().__init__(drive.replace(twists=turned), noise, error_state)
 
 
 # --- new landmarks ------------------------------------------------------------------------------------------
@@ -147,21 +116,22 @@ def without_cross_covariance(prior, ids, pixels, settings):
     return prior, replace(posterior, covariance=block_diag(*blocks)), innovation
 
 
-# --- the exhibition -----------------------------------------------------------------------------------------
+# --- the filters --------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, eq=False)
-class Piece:
-    """A mistake: its title, what `window_slam.run` is given in its place, and the exercise whose check catches it.
+class Variant:
+    """A filter with a mistake: its title, what is given to `window_slam.run`, and the exercise whose check catches it.
 
     applied_to : drive -> (drive, keyword arguments of `window_slam.run`). exercise, mistake : names in `exercises`;
-    empty for the right filter.
+    empty for the right filter. edit : the class that `wrong` made, or None where the mistake is no edit.
     """
 
     title: str
     applied_to: Callable
     exercise: str = ""
     mistake: str = ""
+    edit: Any = None
 
 
 def _camera(kind):
@@ -175,35 +145,36 @@ def _with(**arguments):
     return lambda drive: (drive, arguments)
 
 
-PIECES = {
-    "right": Piece("the right filter", _with()),
-    "depth": Piece("1/q3 forgotten", _camera(NotDividedByDepth),
-                   "projection_jacobian", "1/q3 forgotten"),
-    "bearings": Piece("pixels used as bearings", _camera(PixelsAsBearings),
-                      "triangulate", "pixels used as bearings"),
-    "extrinsics": Piece("extrinsics forgotten",
-                        lambda drive: (drive, {"error_state": WithoutExtrinsics(drive.camera)}),
-                        "pose_jacobian", "extrinsics forgotten"),
-    "sign": Piece("pose sign flipped", _with(error_state=SignFlipped()),
-                  "pose_jacobian", "sign flipped"),
-    "world": Piece("world and body mixed", _with(error_state=WorldCorrection()),
-                   "joint_update", "world and body mixed"),
-    "copy": Piece("a copy updated", _with(error_state=LandmarksOnACopy()),
-                  "joint_update", "chained indexing updates a copy"),
-    "order": Piece("orders mixed", _with(error_state=GroupedOrder()),
-                   "joint_update", "interleaved and grouped orders mixed"),
-    "never": Piece("cross terms never written", _with(process_frame=without_cross_covariance),
-                   "joint_update", "cross-covariances cut"),
-    "cross": Piece("cross terms left behind", _with(motion_model=CrossNotPropagated),
-                   "predict_joint", "cross-covariances not propagated"),
-    "birth": Piece("born uncorrelated", _with(process_frame=born_uncorrelated),
-                   "new_landmark", "no correlation with the pose"),
-    "twice": Piece("born, then used again", _with(process_frame=used_twice),
-                   "new_landmark", "first measurement used twice"),
-    "tau": Piece("W not scaled by tau", _with(motion_model=NoiseWithoutTau), "process_noise", "not scaled by tau"),
-    "swapped": Piece("twist order swapped", _with(motion_model=SwappedTwist),
-                     "se3_exp", "rotation and translation swapped"),
-    "degrees": Piece("degrees", _with(motion_model=Degrees), "se3_exp", "degrees"),
+VARIANTS = {
+    "right": Variant("the right filter", _with()),
+    "depth": Variant("1/q3 forgotten", _camera(NotDividedByDepth), "projection_jacobian", "1/q3 forgotten",
+                     NotDividedByDepth),
+    "bearings": Variant("pixels used as bearings", _camera(PixelsAsBearings), "triangulate",
+                        "pixels used as bearings", PixelsAsBearings),
+    "extrinsics": Variant("extrinsics forgotten",
+                          lambda drive: (drive, {"error_state": WithoutExtrinsics(drive.camera)}),
+                          "pose_jacobian", "extrinsics forgotten"),
+    "sign": Variant("pose sign flipped", _with(error_state=SignFlipped()), "pose_jacobian", "sign flipped",
+                    SignFlipped),
+    "world": Variant("world and body mixed", _with(error_state=WorldCorrection()), "joint_update",
+                     "world and body mixed", WorldCorrection),
+    "copy": Variant("a copy updated", _with(error_state=LandmarksOnACopy()), "joint_update",
+                    "chained indexing updates a copy", LandmarksOnACopy),
+    "order": Variant("orders mixed", _with(error_state=GroupedOrder()), "joint_update",
+                     "interleaved and grouped orders mixed", GroupedOrder),
+    "never": Variant("cross terms never written", _with(process_frame=without_cross_covariance), "joint_update",
+                     "cross-covariances cut"),
+    "cross": Variant("cross terms left behind", _with(motion_model=CrossNotPropagated), "predict_joint",
+                     "cross-covariances not propagated"),
+    "birth": Variant("born uncorrelated", _with(process_frame=born_uncorrelated), "new_landmark",
+                     "no correlation with the pose"),
+    "twice": Variant("born, then used again", _with(process_frame=used_twice), "new_landmark",
+                     "first measurement used twice"),
+    "tau": Variant("W not scaled by tau", _with(motion_model=NoiseWithoutTau), "process_noise", "not scaled by tau",
+                   NoiseWithoutTau),
+    "swapped": Variant("twist order swapped", _with(motion_model=SwappedTwist), "se3_exp",
+                       "rotation and translation swapped", SwappedTwist),
+    "degrees": Variant("degrees", _with(motion_model=Degrees), "se3_exp", "degrees", Degrees),
 }
 
 LOST = 10.0  # m; who was ever as far from the truth as that, in a drive of a minute at most, is lost
@@ -214,24 +185,21 @@ _NIS, _NEES = 100, 1000  # above, a number tells nothing more: it depends on the
 class Visit:
     """What a piece did on the drive, frame by frame, as far as it came.
 
-    title : of the piece. world_T_imu : (T, 4, 4). error : (T,) m, distance from the truth. nis : (T,), mean over
-    the measurements of a frame, 4 if the filter is honest, NaN where it predicted none. nees : (T,) of the pose, 6
-    if the filter is honest, infinite where its covariance is not positive definite. used : share of the measurements
-    that passed the gate. stopped : the frame at which it could not go on, or None.
+    title : of the piece. run : `Run`. error : (T,) m, distance from the truth. nis : (T,), mean over the measurements
+    of a frame, 4 if the filter is honest, NaN where it predicted none. nees : (T,) of the pose, 6 if the filter is
+    honest, infinite where its covariance is not positive definite.
     """
 
     title: str
-    world_T_imu: np.ndarray
+    run: Run
     error: np.ndarray
     nis: np.ndarray
     nees: np.ndarray
-    used: float
-    stopped: int | None
 
     @property
     def lost(self) -> bool:
         """Whether it stopped or was ever `LOST` metres from the truth."""
-        return self.stopped is not None or self.error.max() > LOST
+        return self.run.problem is not None or self.error.max() > LOST
 
     @property
     def rmse(self) -> float:
@@ -246,7 +214,7 @@ class Visit:
 
 
 def _capped(value, most) -> str:
-    return style.two_digits(value) if value <= most else f"> {most}"
+    return two_digits(value) if value <= most else f"> {most}"
 
 
 def visit(piece, drive, noise, world_T_imu, gate=1) -> Visit:
@@ -257,29 +225,8 @@ def visit(piece, drive, noise, world_T_imu, gate=1) -> Visit:
     what was before.
     """
     drive, arguments = piece.applied_to(drive)
-    steps, stopped = [], None
+    arguments = {"error_state": RightPerturbation()} | arguments
     with np.errstate(all="ignore"):
-        try:
-            for step in window_slam.run(drive, noise, gate=gate, world_T_imu=world_T_imu, **arguments):
-                if not np.isfinite(step.posterior.world_T_imu).all():
-                    raise np.linalg.LinAlgError("the pose is not a number")
-                steps.append(step)
-        except np.linalg.LinAlgError:
-            stopped = len(steps)
-        beliefs = [step.posterior for step in steps]
-        poses = np.array([belief.world_T_imu for belief in beliefs])
-        truth = drive.true_world_T_imu[:len(poses)]
-        nis = [step.innovation.nis[np.isfinite(step.innovation.nis)] for step in steps]
-        accepted = np.concatenate([step.innovation.accepted for step in steps])
-        return Visit(piece.title, poses, metrics.position_errors(truth, poses),
-                     np.array([values.mean() if values.size else np.nan for values in nis]),
-                     np.array([_nees(true, belief) for true, belief in zip(truth, beliefs)]),
-                     float(accepted.mean()) if accepted.size else np.nan, stopped)
-
-
-def _nees(true_world_T_imu, belief) -> float:
-    error = RightPerturbation().pose_difference(true_world_T_imu, belief.world_T_imu)
-    try:
-        return float(metrics.nees(error, belief.pose_covariance))
-    except np.linalg.LinAlgError:
-        return np.inf
+        run = attempt(window_slam.run(drive, noise, gate=gate, world_T_imu=world_T_imu, **arguments))
+        true = drive.true_world_T_imu
+        return Visit(piece.title, run, run.errors(true), run.frame_nis, run.nees(true))

@@ -29,19 +29,18 @@ def whiteness(innovations):
     e_k e_{k-1} divided by the sum of e_k^2 with e the innovations less their mean, and the bound 1.96 / sqrt(n), which
     95 % of white sequences stay below in size.
     """
-    return _correlation(innovations), 1.96 / np.sqrt(len(innovations))
+    e = innovations - np.mean(innovations)
+    correlation = np.sum(e[1:] * e[:-1]) / np.sum(e**2)
+    return correlation, 1.96 / np.sqrt(len(e))
 
 
-@whiteness.mistake("mean not subtracted", "Subtract the mean first, or a constant offset looks like a correlation.")
-def _(innovations):
-    return _correlation(innovations, mean=False), 1.96 / np.sqrt(len(innovations))
+whiteness.slip("mean not subtracted", "Subtract the mean first, or a constant offset looks like a correlation.",
+               ("np.mean(innovations", "np.mean(0 * innovations"))
 
 
-@whiteness.mistake("not divided", "Divide by the sum of squares: a correlation has no unit and lies between -1 and 1.")
-def _(innovations):
-    return _correlation(innovations) * np.sum((innovations - innovations.mean())**2), 1.96 / np.sqrt(len(innovations))
+whiteness.slip("not divided", "Divide by the sum of squares: a correlation has no unit and lies between -1 and 1.",
+               ("np.sum(e[1:] * e[:-1]) / np.sum(e**2)", "np.sum(e[1:] * e[:-1])"))
 
 
-@whiteness.mistake("root of n forgotten", "The scatter of a mean of n numbers falls with the root of n.")
-def _(innovations):
-    return _correlation(innovations), 1.96 / len(innovations)
+whiteness.slip("root of n forgotten", "The scatter of a mean of n numbers falls with the root of n.",
+               ("np.sqrt(len(e))", "len(e)"))

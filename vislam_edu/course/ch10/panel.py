@@ -31,7 +31,7 @@ def view(drive, margin=0.15):
 def gallery(visits, drive, columns=4) -> Figure:
     """All paths from above, one small map each, truth black; a path that leaves its map has left the street.
 
-    visits : sequence of `museum_drives.Visit`. drive : the `Drive` they made, with truth.
+    visits : sequence of `broken_filters.Visit`. drive : the `Drive` they made, with truth.
     """
     rows = -(-len(visits) // columns)
     with style.context():
@@ -40,7 +40,7 @@ def gallery(visits, drive, columns=4) -> Figure:
         x0, x1, y0, y1 = view(drive)
         for place, visit in zip(axes.flat, visits):
             place.plot(*drive.true_world_T_imu[:, :2, 3].T, color=COLOURS["truth"], lw=2.4)
-            place.plot(*visit.world_T_imu[:, :2, 3].T, color=_colour(visit), lw=1.2, ls="--" if visit.lost else "-")
+            place.plot(*visit.run.world_T_imu[:, :2, 3].T, color=_colour(visit), lw=1.2, ls="--" if visit.lost else "-")
             words = "{}\nNIS {}\nNEES {}".format(textwrap.fill(visit.title, 23), *visit.numbers[1:])
             place.set_title(words, fontsize=8.5, color=_colour(visit))
             place.set(xlim=(x0, x1), ylim=(y0, y1), aspect="equal")
@@ -61,7 +61,7 @@ def _colour(visit):
 class MuseumPicture(Picture):
     """One mistake at a time, chosen from a list, in red; the right filter in blue and the truth in black.
 
-    visits : sequence of `museum_drives.Visit`, the right filter's first. drive : the `Drive` they made, with truth.
+    visits : sequence of `broken_filters.Visit`, the right filter's first. drive : the `Drive` they made, with truth.
     Raises ValueError for fewer than two visits.
     """
 
@@ -86,7 +86,8 @@ class MuseumPicture(Picture):
         self.title = self.moves(self.figure.text(0.02, 0.95, "", fontsize=12, weight="bold", color=red))
         self.words = self.moves(self.figure.text(0.98, 0.95, "", fontsize=LETTERING, ha="right"))
         truth = self.map.plot(*self.drive.true_world_T_imu[:, :2, 3].T, color=COLOURS["truth"], lw=2.6, label="truth")
-        good = self.map.plot(*right.world_T_imu[:, :2, 3].T, color=COLOURS["predicted"], lw=1.2, label="right filter")
+        good = self.map.plot(*right.run.world_T_imu[:, :2, 3].T, color=COLOURS["predicted"], lw=1.2,
+                             label="right filter")
         (self.path,) = self.map.plot([], [], color=red, lw=1.6, ls="--", label="with the mistake")
         self.moves(self.path)
         self.lines = {}
@@ -113,7 +114,7 @@ class MuseumPicture(Picture):
         visit = self._visit(piece)
         self.title.set_text(visit.title)
         self.words.set_text("RMSE {}, NIS {}, NEES {}".format(*visit.numbers))
-        self.path.set_data(*visit.world_T_imu[:, :2, 3].T)
+        self.path.set_data(*visit.run.world_T_imu[:, :2, 3].T)
         for kind, line in self.lines.items():
             values = np.clip(getattr(visit, kind), *LIMITS[kind])  # what leaves the axes runs along their edge
             line.set_data(self.times[:len(values)], values)
@@ -121,7 +122,7 @@ class MuseumPicture(Picture):
     def caption(self, piece):
         """The mistake, and its three numbers beside the right ones."""
         visit, right = self._visit(piece), self.visits[0]
-        stopped = "" if visit.stopped is None else " It could not go on to the end."
+        stopped = "" if visit.run.stopped is None else " It could not go on to the end."
         return (
             f"{visit.title}: position RMSE {visit.numbers[0]} (right filter {right.numbers[0]}), mean NIS "
             f"{visit.numbers[1]} ({right.numbers[1]}), mean NEES {visit.numbers[2]} ({right.numbers[2]}).{stopped}"

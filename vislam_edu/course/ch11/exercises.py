@@ -24,8 +24,10 @@ def twist_jacobians(T_this, T_next, tau):
     T_this, T_next : (4, 4), world_T_imu of two frames. tau : s between them. Returns the derivatives (6, 6) by the
     right perturbation of T_this and by that of T_next. You may use `se3`.
     """
-    _, by_this, by_next = batch.path_twists(np.array([T_this, T_next]), np.array([tau]))
-    return by_this[0], by_next[0]
+    step = se3.log(se3.inverse(T_this) @ T_next)
+    by_this = -np.linalg.inv(se3.left_jacobian(step)) / tau
+    by_next = np.linalg.inv(se3.right_jacobian(step)) / tau
+    return by_this, by_next
 
 
 @twist_jacobians.mistake("tau forgotten", "The twist is the logarithm divided by tau, and so are its derivatives.")
@@ -34,24 +36,17 @@ def _(T_this, T_next, tau):
     return -se3.left_jacobian_inverse(step), se3.right_jacobian_inverse(step)
 
 
-@twist_jacobians.mistake("left and right swapped", """The perturbation of T_next stands on the right of exp(tau xi),
-that of T_this on its left: J_r^-1 belongs to T_next, J_l^-1 to T_this.""")
-def _(T_this, T_next, tau):
-    step = se3.log(se3.inverse(T_this) @ T_next)
-    return -se3.right_jacobian_inverse(step) / tau, se3.left_jacobian_inverse(step) / tau
+twist_jacobians.slip("left and right swapped", """The perturbation of T_next stands on the right of exp(tau xi),
+that of T_this on its left: J_r^-1 belongs to T_next, J_l^-1 to T_this.""",
+                     ("se3.inverse(T_this) @ T_next", "np.linalg.inv(se3.inverse(T_this) @ T_next)"))
 
 
-@twist_jacobians.mistake("sign of T_this", """T_this enters inverted, (T exp(e^))^-1 = exp(-e^) T^-1: its derivative is
-negative.""")
-def _(T_this, T_next, tau):
-    step = se3.log(se3.inverse(T_this) @ T_next)
-    return se3.left_jacobian_inverse(step) / tau, se3.right_jacobian_inverse(step) / tau
+twist_jacobians.slip("sign of T_this", """T_this enters inverted, (T exp(e^))^-1 = exp(-e^) T^-1: its derivative is
+negative.""", ("by_this,", "-by_this,"))
 
 
-@twist_jacobians.mistake("plus and minus the identity", """The Jacobians are -I/tau and I/tau only where the step does
-not move; a step of a metre and a turn needs J_l^-1 and J_r^-1.""")
-def _(T_this, T_next, tau):
-    return -np.eye(6) / tau, np.eye(6) / tau
+twist_jacobians.slip("plus and minus the identity", """The Jacobians are -I/tau and I/tau only where the step does
+not move; a step of a metre and a turn needs J_l^-1 and J_r^-1.""", ("T_next)", "T_this)"))
 
 
 def systems(rng):
@@ -70,40 +65,24 @@ def schur(H, g, n_poses):
     H : (n, n), positive definite. g : (n,). The first `n_poses` rows belong to the poses x, the others to the
     landmarks m. Returns the Schur complement S (n_poses, n_poses), x (n_poses,) and m (n - n_poses,).
     """
-    p = n_poses
-    U, E, V = H[:p, :p], H[:p, p:], H[p:, p:]
-    V_inverse = np.linalg.inv(V)
-    S = U - E @ V_inverse @ E.T
-    x = np.linalg.solve(S, g[:p] - E @ V_inverse @ g[p:])
-    return S, x, V_inverse @ (g[p:] - E.T @ x)
-
-
-@schur.mistake("right side not reduced", """Eliminating the landmarks changes the right side as well: a - E V^-1 b. With
-a alone, what the cameras say about the landmarks is thrown away.""")
-def _(H, g, n_poses):
-    p = n_poses
-    U, E, V = H[:p, :p], H[:p, p:], H[p:, p:]
+    U, E, V = H[:n_poses, :n_poses], H[:n_poses, n_poses:], H[n_poses:, n_poses:]
+    a, b = g[:n_poses], g[n_poses:]
     S = U - E @ np.linalg.inv(V) @ E.T
-    x = np.linalg.solve(S, g[:p])
-    return S, x, np.linalg.solve(V, g[p:] - E.T @ x)
+    x = np.linalg.inv(S) @ (a - E @ np.linalg.inv(V) @ b)
+    m = np.linalg.inv(V) @ (b - E.T @ x)
+    return S, x, m
 
 
-@schur.mistake("landmarks without the poses", """When the poses move, the landmarks move with them: V m = b - E^T x, not
-b.""")
-def _(H, g, n_poses):
-    p = n_poses
-    U, E, V = H[:p, :p], H[:p, p:], H[p:, p:]
-    S = U - E @ np.linalg.inv(V) @ E.T
-    return S, np.linalg.solve(S, g[:p] - E @ np.linalg.solve(V, g[p:])), np.linalg.solve(V, g[p:])
+schur.slip("right side not reduced", """Eliminating the landmarks changes the right side as well: a - E V^-1 b. With
+a alone, what the cameras say about the landmarks is thrown away.""", ("b)", "(0 * b))"))
 
 
-@schur.mistake("plus E V^-1 E^T", "What the landmarks do not know is taken away from U: S = U - E V^-1 E^T.")
-def _(H, g, n_poses):
-    p = n_poses
-    U, E, V = H[:p, :p], H[:p, p:], H[p:, p:]
-    S = U + E @ np.linalg.inv(V) @ E.T
-    x = np.linalg.solve(S, g[:p] - E @ np.linalg.solve(V, g[p:]))
-    return S, x, np.linalg.solve(V, g[p:] - E.T @ x)
+schur.slip("landmarks without the poses", """When the poses move, the landmarks move with them: V m = b - E^T x, not
+b.""", ("x)", "(0 * x))"))
+
+
+schur.slip("plus E V^-1 E^T", "What the landmarks do not know is taken away from U: S = U - E V^-1 E^T.",
+           ("@ E.T", "@ -E.T"))
 
 
 @schur.mistake("block cut out", """Cutting out U assumes the landmarks known. In the information matrix that is
@@ -129,29 +108,23 @@ def marquardt_step(r, J, damping):
     Returns the step delta (m,).
     """
     H = J.T @ J
-    return np.linalg.solve(H + damping * np.diag(np.diag(H)), -J.T @ r)
+    D = np.diag(np.diag(H))
+    return np.linalg.solve(H + damping * D, -J.T @ r)
 
 
-@marquardt_step.mistake("sign", "The step goes downhill: -J^T r on the right side.")
-def _(r, J, damping):
-    H = J.T @ J
-    return np.linalg.solve(H + damping * np.diag(np.diag(H)), J.T @ r)
+marquardt_step.slip("sign", "The step goes downhill: -J^T r on the right side.", ("r)", "-r)"))
 
 
-@marquardt_step.mistake("identity in place of the diagonal", """That is Levenberg's older form. Metres and radians have
-different sizes, so Marquardt damps each unknown in its own unit: lambda times diag(H).""")
-def _(r, J, damping):
-    return np.linalg.solve(J.T @ J + damping * np.eye(J.shape[1]), -J.T @ r)
+marquardt_step.slip("identity in place of the diagonal", """That is Levenberg's older form. Metres and radians have
+different sizes, so Marquardt damps each unknown in its own unit: lambda times diag(H).""",
+                    ("np.diag(np.diag(H))", "np.eye(len(np.diag(H)))"))
 
 
-@marquardt_step.mistake("whole matrix raised", "(1 + lambda) H only shortens the step. Only the diagonal is raised.")
-def _(r, J, damping):
-    return np.linalg.solve((1 + damping) * J.T @ J, -J.T @ r)
+marquardt_step.slip("whole matrix raised", "(1 + lambda) H only shortens the step. Only the diagonal is raised.",
+                    ("D,", "H,"))
 
 
-@marquardt_step.mistake("no damping", "The damping is not used: this is Gauss-Newton.")
-def _(r, J, damping):
-    return np.linalg.solve(J.T @ J, -J.T @ r)
+marquardt_step.slip("no damping", "The damping is not used: this is Gauss-Newton.", ("H)", "0 * H)"))
 
 
 def residuals(rng):
@@ -169,14 +142,14 @@ def robust_weight(r, c):
     r : (n, 3), the residuals of each measurement divided by their standard deviations. c : where a weight has fallen
     to one half. Returns cost (n,) = c^2 log(1 + |r|^2 / c^2) and weight (n,), its derivative by |r|^2.
     """
-    return batch.cauchy(np.sum(r**2, axis=-1), c)
+    q = np.sum(r**2, axis=1)
+    cost = c**2 * np.log(1 + q / c**2)
+    weight = 1 / (1 + q / c**2)
+    return cost, weight
 
 
-@robust_weight.mistake("root of the weight", """The weight multiplies the squared residual. Its root multiplies residual
-and Jacobian; return the weight itself.""")
-def _(r, c):
-    cost, weight = batch.cauchy(np.sum(r**2, axis=-1), c)
-    return cost, np.sqrt(weight)
+robust_weight.slip("root of the weight", """The weight multiplies the squared residual. Its root multiplies residual
+and Jacobian; return the weight itself.""", ("1 / (1 + q / c**2)", "np.sqrt(1 / (1 + q / c ** 2))"))
 
 
 @robust_weight.mistake("cost over squared residual", """The weight is the *derivative* of the cost by |r|^2, not their
@@ -187,9 +160,8 @@ def _(r, c):
     return cost, np.where(squared > 0, cost / np.where(squared > 0, squared, 1.0), 1.0)
 
 
-@robust_weight.mistake("|r| in place of |r|^2", "c is compared with |r|, so the ratio is |r|^2 / c^2.")
-def _(r, c):
-    return batch.cauchy(np.sqrt(np.sum(r**2, axis=-1)), c)
+robust_weight.slip("|r| in place of |r|^2", "c is compared with |r|, so the ratio is |r|^2 / c^2.",
+                   ("np.sum(r**2, axis=1)", "np.sqrt(np.sum(r ** 2, axis=1))"))
 
 
 @robust_weight.mistake("each number by itself", """Wrong tracks are wrong as a whole. The loss is of the measurement:

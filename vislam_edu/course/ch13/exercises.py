@@ -88,7 +88,16 @@ def filter_predict(world_T_imu, covariance, twist, tau, noise):
     rad/s. tau : s. noise : `Noise`; `noise.twist_covariance` is that of one IMU sample, and an error of the sample
     moves the pose by tau J_r(tau twist) times itself. Returns world_T_imu and covariance.
     """
-    return _predicted(world_T_imu, covariance, twist, tau, noise)
+    step = se3.exp(tau * twist)
+    F = se3.adjoint(se3.exp(-tau * twist))
+    B = tau * se3.right_jacobian(tau * twist)
+    Q = noise.twist_covariance
+    n = len(covariance) - 6
+    P = covariance.copy()
+    P[n:, n:] = F @ covariance[n:, n:] @ F.T + B @ Q @ B.T
+    P[:n, n:] = covariance[:n, n:] @ F.T
+    P[n:, :n] = F @ covariance[n:, :n]
+    return world_T_imu @ step, P
 
 
 @filter_predict.mistake("cross-covariances not propagated", """Only the pose block was carried along: P_LR becomes P_LR
@@ -97,26 +106,19 @@ def _(world_T_imu, covariance, twist, tau, noise):
     return _predicted(world_T_imu, covariance, twist, tau, noise, cross=False)
 
 
-@filter_predict.mistake("not scaled by tau", "W = tau^2 Q: the twist's variance is not that of one step.")
-def _(world_T_imu, covariance, twist, tau, noise):
-    J = se3.right_jacobian(tau * twist)
-    return _predicted(world_T_imu, covariance, twist, tau, noise, W=J @ noise.twist_covariance @ J.T)
+filter_predict.slip("not scaled by tau", "W = tau^2 Q: the twist's variance is not that of one step.",
+                    ("tau * se3.right_jacobian(tau * twist)", "se3.right_jacobian(tau * twist)"))
 
 
-@filter_predict.mistake("right Jacobian left out", """W = tau^2 Q is the report's form. An error of the sample moves the
-pose by tau J_r(tau u): write B Q B^T.""")
-def _(world_T_imu, covariance, twist, tau, noise):
-    return _predicted(world_T_imu, covariance, twist, tau, noise, W=tau**2 * noise.twist_covariance)
+filter_predict.slip("right Jacobian left out", """W = tau^2 Q is the report's form. An error of the sample moves the
+pose by tau J_r(tau u): write B Q B^T.""", ("se3.right_jacobian(tau * twist)", "np.eye(6)"))
 
 
-@filter_predict.mistake("transition of the other direction", "F = Ad(exp(-tau u^)), with the minus sign.")
-def _(world_T_imu, covariance, twist, tau, noise):
-    return _predicted(world_T_imu, covariance, twist, tau, noise, F=se3.adjoint(se3.exp(tau * twist)))
+filter_predict.slip("transition of the other direction", "F = Ad(exp(-tau u^)), with the minus sign.", ("-tau", "tau"))
 
 
-@filter_predict.mistake("world and body mixed", "The twist is measured in the body: its motion stands on the right.")
-def _(world_T_imu, covariance, twist, tau, noise):
-    return _predicted(world_T_imu, covariance, twist, tau, noise, mean=se3.exp(tau * twist) @ world_T_imu)
+filter_predict.slip("world and body mixed", "The twist is measured in the body: its motion stands on the right.",
+                    ("world_T_imu @ step", "step @ world_T_imu"))
 
 
 @filter_predict.mistake("rotation and translation swapped", "A twist is [v, omega], translation first.")
@@ -162,13 +164,25 @@ def filter_update(world_T_imu, landmarks, covariance, rows, pixels, camera, nois
     camera, `landmark_jacobian` (4, 3), `pose_jacobian` (4, 6). noise.pixel_covariance : (4, 4). Returns world_T_imu,
     landmarks and covariance.
     """
-    return _updated(world_T_imu, landmarks, covariance, rows, pixels, camera, noise)
+    n = 3 * len(landmarks)
+    H = np.zeros((4 * len(rows), n + 6))
+    V = np.zeros((4 * len(rows), 4 * len(rows)))
+    residual = np.zeros(4 * len(rows))
+    for i in range(len(rows)):
+        j = rows[i]
+        k = slice(4 * i, 4 * i + 4)
+        H[k, 3 * j:3 * j + 3] = camera.landmark_jacobian(world_T_imu, landmarks[j])
+        H[k, n:] = camera.pose_jacobian(world_T_imu, landmarks[j])
+        V[k, k] = noise.pixel_covariance
+        residual[k] = pixels[i] - camera.observe(world_T_imu, landmarks[j])[0]
+    K = covariance @ H.T @ np.linalg.inv(H @ covariance @ H.T + V)
+    delta = K @ residual
+    P = (np.eye(n + 6) - K @ H) @ covariance
+    return world_T_imu @ se3.exp(delta[n:]), landmarks + delta[:n].reshape(-1, 3), P
 
 
-@filter_update.mistake("pose sign flipped", "The pose part of H is -J [I, -s^]: the observation model holds T^-1.")
-def _(world_T_imu, landmarks, covariance, rows, pixels, camera, noise):
-    return _updated(world_T_imu, landmarks, covariance, rows, pixels, camera, noise,
-                    H=_H(world_T_imu, landmarks, rows, camera, pose=-1.0))
+filter_update.slip("pose sign flipped", "The pose part of H is -J [I, -s^]: the observation model holds T^-1.",
+    ("camera.pose_jacobian(world_T_imu, landmarks[j])", "-camera.pose_jacobian(world_T_imu, landmarks[j])"))
 
 
 def _odot_without_extrinsics(camera, T, m):
@@ -189,16 +203,12 @@ def _(world_T_imu, landmarks, covariance, rows, pixels, camera, noise):
                     H=depth * _H(world_T_imu, landmarks, rows, camera))
 
 
-@filter_update.mistake("world and body mixed", "The correction is expressed in the body: T exp(delta^).")
-def _(world_T_imu, landmarks, covariance, rows, pixels, camera, noise):
-    return _updated(world_T_imu, landmarks, covariance, rows, pixels, camera, noise,
-                    retract=lambda T, m, d, e: (se3.exp(e) @ T, m + d.reshape(-1, 3)))
+filter_update.slip("world and body mixed", "The correction is expressed in the body: T exp(delta^).",
+                   ("world_T_imu @ se3.exp(delta[n:])", "se3.exp(delta[n:]) @ world_T_imu"))
 
 
-@filter_update.mistake("a copy updated", "landmarks[rows][:] += ... changes a temporary array: the landmarks stayed.")
-def _(world_T_imu, landmarks, covariance, rows, pixels, camera, noise):
-    return _updated(world_T_imu, landmarks, covariance, rows, pixels, camera, noise,
-                    retract=lambda T, m, d, e: (T @ se3.exp(e), m))
+filter_update.slip("a copy updated", "landmarks[rows][:] += ... changes a temporary array: the landmarks stayed.",
+                   ("landmarks + delta[:n].reshape(-1, 3)", "landmarks"))
 
 
 @filter_update.mistake("only the seen landmarks corrected", """The others are correlated with the pose and move too:
@@ -211,10 +221,8 @@ def _(world_T_imu, landmarks, covariance, rows, pixels, camera, noise):
     return _updated(world_T_imu, landmarks, covariance, rows, pixels, camera, noise, retract=retract)
 
 
-@filter_update.mistake("orders mixed", "delta holds x, y, z of one landmark after the other: reshape(n, 3).")
-def _(world_T_imu, landmarks, covariance, rows, pixels, camera, noise):
-    return _updated(world_T_imu, landmarks, covariance, rows, pixels, camera, noise,
-                    retract=lambda T, m, d, e: (T @ se3.exp(e), m + d.reshape(3, -1).T))
+filter_update.slip("orders mixed", "delta holds x, y, z of one landmark after the other: reshape(n, 3).",
+                   ("delta[:n].reshape(-1, 3)", "delta[:n].reshape(3, -1).T"))
 
 
 @filter_update.mistake("cross terms never written", """After the update the landmarks and the pose are correlated: the
@@ -263,13 +271,25 @@ def filter_birth(world_T_imu, landmarks, covariance, pixels, camera, noise):
     `triangulation_covariance(point_cam, sigma_px)` (3, 3) is in the camera frame too; `imu_T_cam` (4, 4).
     noise.sigma_px : px. Returns landmarks (n+1, 3) and covariance (3n+9, 3n+9).
     """
-    return _born(world_T_imu, landmarks, covariance, pixels, camera, noise)
+    n = len(covariance) - 6
+    q = camera.triangulate(pixels)[0]
+    s = se3.transform(camera.imu_T_cam, q)
+    C = camera.triangulation_covariance(q, noise.sigma_px)
+    R, R_cam = world_T_imu[:3, :3], camera.imu_T_cam[:3, :3]
+    G = R @ np.hstack([np.eye(3), -se3.so3_hat(s)])
+    cross = G @ covariance[n:]
+    own = G @ covariance[n:, n:] @ G.T + R @ R_cam @ C @ R_cam.T @ R.T
+    P = np.zeros((n + 9, n + 9))
+    old = np.r_[:n, n + 3:n + 9]
+    P[np.ix_(old, old)] = covariance
+    P[n:n + 3, old] = cross
+    P[old, n:n + 3] = cross.T
+    P[n:n + 3, n:n + 3] = own
+    return np.vstack([landmarks, se3.transform(world_T_imu, s)]), P
 
 
-@filter_birth.mistake("no correlation with the pose", """The new landmark inherits the error of the pose: its cross
-terms are G P[-6:], not zero.""")
-def _(world_T_imu, landmarks, covariance, pixels, camera, noise):
-    return _born(world_T_imu, landmarks, covariance, pixels, camera, noise, cross=False)
+filter_birth.slip("no correlation with the pose", """The new landmark inherits the error of the pose: its cross
+terms are G P[-6:], not zero.""", ("cross = G", "cross = 0 * G"))
 
 
 @filter_birth.mistake("pixels used as bearings", "The bearing is K^-1 [u, v, 1], not [u, v, 1].")
@@ -488,28 +508,28 @@ def curved_mean(f, baseline, point, covariance):
     f : px. baseline : m. point (3,) : m, mean of a landmark in the left camera's frame. covariance (3, 3) : m^2.
     Returns (4,), px, of u_left, v_left, u_right, v_right.
     """
-    return _curved(f, baseline, point, covariance)
+    x, y, z = point
+    C = covariance
+    u_left = f / z**2 * (x / z * C[2, 2] - C[0, 2])
+    v = f / z**2 * (y / z * C[2, 2] - C[1, 2])
+    u_right = f / z**2 * ((x - baseline) / z * C[2, 2] - C[0, 2])
+    return np.array([u_left, v, u_right, v])
 
 
-@curved_mean.mistake("half forgotten", "The second-order term of Taylor's series has a factor 1/2.")
-def _(f, baseline, point, covariance):
-    return _curved(f, baseline, point, covariance, half=2.0)
+curved_mean.slip("half forgotten", "The second-order term of Taylor's series has a factor 1/2.",
+                 ("= covariance", "= 2 * covariance"))
 
 
-@curved_mean.mistake("sign flipped", "This has the wrong sign: beside the axis the mean moves outwards.")
-def _(f, baseline, point, covariance):
-    return -_curved(f, baseline, point, covariance)
+curved_mean.slip("sign flipped", "This has the wrong sign: beside the axis the mean moves outwards.",
+                 ("= covariance", "= -covariance"))
 
 
-@curved_mean.mistake("right camera taken for the left", "The right camera sees x - baseline in place of x.")
-def _(f, baseline, point, covariance):
-    return _curved(f, 0.0, point, covariance)
+curved_mean.slip("right camera taken for the left", "The right camera sees x - baseline in place of x.",
+                 ("x - baseline", "x"))
 
 
-@curved_mean.mistake("depth alone", """h'' has entries beside the diagonal too, and x and z are correlated, because a
-landmark is uncertain along its ray.""")
-def _(f, baseline, point, covariance):
-    return _curved(f, baseline, point, covariance, cross=0.0)
+curved_mean.slip("depth alone", """h'' has entries beside the diagonal too, and x and z are correlated, because a
+landmark is uncertain along its ray.""", ("= covariance", "= np.diag(np.diag(covariance))"))
 
 
 @curved_mean.mistake("cross term added", "d^2 (x / z) / dx dz = -1 / z^2: the cross term is subtracted.")
@@ -537,7 +557,10 @@ def left_behind(landmarks, covariance, keep):
     landmarks (n, 3) : m, world. covariance (3n+6, 3n+6), landmarks before the pose. keep (n,) : bool, which stay.
     Returns the landmarks that stay and the covariance of these and the pose.
     """
-    return landmarks[keep], covariance[np.ix_(_rows(keep), _rows(keep))]
+    pose = np.ones(6, bool)
+    stay = np.concatenate([np.repeat(keep, 3), pose])
+    P = covariance[stay][:, stay]
+    return landmarks[keep], P
 
 
 @left_behind.mistake("conditioned", """This is what is known once the landmarks that leave are known *exactly*: the

@@ -13,7 +13,8 @@ import json
 import os
 import textwrap
 
-from ...plots.style import on_a_page
+from ...plots.text import on_a_page
+from .edit import plain_source
 from .exercise import EXERCISES, find
 from .picture import Picture
 from .running import copied
@@ -96,12 +97,11 @@ def hint(name, level=1) -> None:
 
 
 def solution(name) -> None:
-    """Print the answer: the exercise in terms of the package, and the package's own source behind it."""
+    """Print a plain answer, and the package's own functions that it stands for."""
     exercise = find(name)
-    source = textwrap.dedent(inspect.getsource(exercise.reference))
-    source = source[source.index("\ndef ") + 1:]  # what stands above is the exercise's own decorator
-    parts = [source] + [f"# {shown.__module__}.{shown.__qualname__}\n{textwrap.dedent(inspect.getsource(shown))}"
-                        for shown in exercise.shows]
+    parts = [plain_source(exercise.reference)]
+    parts += [f"# {shown.__module__}.{shown.__qualname__}\n{textwrap.dedent(inspect.getsource(shown))}"
+              for shown in exercise.shows]
     print("\n\n".join(part.rstrip() for part in parts))
 
 

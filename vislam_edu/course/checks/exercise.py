@@ -3,13 +3,14 @@
     @exercise(chapter=1, cases=some_generator, hints=("first", "second"), shows=[se3.so3_hat])
     def so3_hat(omega):
         '''Statement: what to write, shapes, frames, units.'''
-        return se3.so3_hat(omega)
+        x, y, z = omega
+        return np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
 
-    @so3_hat.mistake("transposed", "What the student reads.")
-    def _(omega):
-        return -se3.so3_hat(omega)
+    so3_hat.slip("transposed", "What the student reads.", ("return np", "return -np"))
 
-The decorated function is the reference; its signature and docstring become the stub that the student fills in.
+The decorated function is the reference: a plain answer, as a student would write it, with the symbols of the statement.
+`mutants` changes it in one place at a time, so a line of it does one thing. A usual mistake is an edit of it, or, where
+no edit says it simply, a function of its own (`mistake`). Its signature and docstring become the student's stub.
 """
 
 import functools
@@ -20,6 +21,8 @@ from dataclasses import dataclass, field
 from difflib import get_close_matches
 
 import numpy as np
+
+from .edit import Edit, edited
 
 EXERCISES: dict[str, "Exercise"] = {}  # by name, in the order of the chapters
 
@@ -41,18 +44,24 @@ _STUB = '''def {name}{signature}:
 
 @dataclass(frozen=True)
 class Mistake:
-    """One wrong version: its name in the museum, what the student reads, and the function itself."""
+    """One wrong version: its name in the museum, what the student reads, and a function with the edits made in it."""
 
     name: str
     hint: str
-    function: Callable
+    base: Callable
+    edits: tuple[Edit, ...] = ()
+
+    @functools.cached_property
+    def function(self) -> Callable:
+        return edited(self.base, *self.edits) if self.edits else self.base
 
 
 @dataclass(frozen=True, eq=False)
 class Exercise:
     """One exercise; see the module's docstring.
 
-    reference : the right answer. cases : a function of a random generator that yields (label, arguments).
+    reference : the right answer, a plain one; the exercise itself can be called in its place.
+    cases : a function of a random generator that yields (label, arguments).
     hints : from a nudge to nearly the answer. shows : the package's functions that `solution` prints.
     outputs : names of the results where the answer returns several, else empty.
     canonical : what to compare, as a function of the list of results; None compares them as they are.
@@ -70,6 +79,10 @@ class Exercise:
     tolerance: float
     reading: Callable | None = None
     mistakes: list[Mistake] = field(default_factory=list)
+    answers: list[Callable] = field(default_factory=list)  # the plain ones: the reference, and other usual ways
+
+    def __call__(self, *arguments):
+        return self.reference(*arguments)
 
     @property
     def name(self) -> str:
@@ -100,8 +113,18 @@ class Exercise:
 
     def expected(self, *arguments):
         """The right result, read as an answer's is."""
-        result = self.reference(*arguments)
+        with np.errstate(all="ignore"):
+            result = self.reference(*arguments)
         return self.reading(result) if self.reading else result
+
+    def otherwise(self, function: Callable) -> Callable:
+        """Decorator of another plain answer that is usual too."""
+        self.answers.append(function)
+        return function
+
+    def slip(self, name: str, hint: str, *edits: Edit) -> None:
+        """Hang the reference with these edits in the museum."""
+        self.mistakes.append(Mistake(name, " ".join(hint.split()), self.reference, edits))
 
     def mistake(self, name: str, hint: str):
         """Decorator that hangs a wrong version in the museum."""
@@ -115,7 +138,7 @@ def exercise(*, chapter, cases, hints, shows, outputs=(), canonical=None, tolera
     """Decorator that makes an exercise of its reference answer and enters it under the function's name."""
     def enter(reference):
         entry = Exercise(chapter, reference, cases, tuple(" ".join(hint.split()) for hint in hints), tuple(shows),
-                         tuple(outputs), canonical, tolerance, reading)
+                         tuple(outputs), canonical, tolerance, reading, answers=[reference])
         if entry.name in EXERCISES:
             raise ValueError(f"there are two exercises called {entry.name}")
         EXERCISES[entry.name] = entry

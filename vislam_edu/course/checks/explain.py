@@ -1,8 +1,8 @@
 """Why an answer is wrong: what would turn the right answer into it, without a list of mistakes.
 
 Candidates are the museum's pieces, mutants of a plain answer, and the reference with changed arguments or with a
-changed result; then two of these at once. A candidate explains a result when it gives the same numbers on every input.
-Several results (a mean and a covariance, say) may have explanations of their own.
+changed result; then a piece with changed arguments. A candidate explains a result when it gives the same numbers on
+every input. Several results (a mean and a covariance, say) may have explanations of their own.
 """
 
 import contextlib
@@ -19,7 +19,6 @@ from .running import Outcome, outcome_of, within
 
 LIMIT = 1.5  # s, for the whole search
 SHOWN = 3  # explanations that fit alike and are listed
-_PAIRS = 1500  # mutants with two changes that are tried
 
 
 class _TimeIsUp(Exception):
@@ -100,12 +99,12 @@ class Search:
                 return
 
     def _mutants(self) -> None:
-        for words, function, _ in sorted(mutants.mutants(self.exercise.name), key=lambda mutant: mutant[2]):
+        for words, function, _ in mutants.mutants(self.exercise.name):
             self.offer(words, function, keep=True)
 
     def _arguments(self) -> None:
         for words, change in transforms.argument_changes(self.exercise.arguments, self.cases[self.probe][1]):
-            for answer in [self.exercise.reference, *mutants.plain_answers(self.exercise.name)]:
+            for answer in self.exercise.answers:
                 self.offer(words, _after(answer, change), keep=True)
 
     def _results(self) -> None:
@@ -177,12 +176,6 @@ class Search:
         for words, function in pieces:
             for further, change in changes:
                 self.offer(f"{words}; and {further}", _after(function, change))
-        if self.done:
-            return
-        for words, make in mutants.pairs(self.exercise.name)[:_PAIRS]:
-            self.offer(words, make())
-            if self.joint:
-                return
 
     def _tolerance(self, i) -> float:
         return self.exercise.tolerance if self.outcomes[i].precise else ROUGH

@@ -6,12 +6,17 @@ The change is made in the syntax tree of the answer. Each mutant comes with word
 
 import ast
 import functools
-import inspect
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
-from . import plain
+import numpy as np
+
+from ... import kalman, se3, stereo
+from .edit import plain_source
+from .exercise import find
+
+_SCOPE = {"np": np, "kalman": kalman, "se3": se3, "stereo": stereo}  # what a change may name
 
 # Functions that are easily taken for each other.
 _TWINS = [("np.sin", "np.cos"), ("np.log", "np.log10"), ("chi2.ppf", "chi2.cdf"), ("np.zeros", "np.eye"),
@@ -26,42 +31,17 @@ _REWRITTEN = {
     "se3.so3_left_jacobian": ["np.eye(3)"], "se3.left_jacobian": ["np.eye(6)"], "se3.right_jacobian": ["np.eye(6)"],
     "se3.adjoint": ["np.eye(6)", "se3.adjoint(se3.inverse(X))", "se3.adjoint(X).T"], "se3.so3_hat": ["np.diag(X)"],
 }
-_COMMON = 3  # kinds below: signs, something left out, something transposed; pairs are made of these
 
 
 @functools.cache
 def mutants(name: str) -> tuple[tuple[str, Callable, int], ...]:
-    """(words, function, kind) of each mutant of the plain answer to an exercise; none where it has no plain answer."""
+    """(words, function, kind) of each mutant of the plain answers to an exercise, the commonest kinds first."""
     found = []
-    for source in _plain(name):
-        tree = ast.parse(source)
+    for answer in find(name).answers:
+        tree = ast.parse(plain_source(answer))
         for change in _changes(tree):
-            found.append((change.words, _changed(tree, change), change.kind))
-    return tuple(found)
-
-
-@functools.cache
-def pairs(name: str) -> tuple[tuple[str, Callable[[], Callable]], ...]:
-    """(words, a function that makes the mutant) for two changes at once, both of the commonest kinds."""
-    found = []
-    for source in _plain(name)[:1]:
-        tree = ast.parse(source)
-        common = [change for change in _changes(tree) if change.kind < _COMMON]
-        for i, one in enumerate(common):
-            for two in common[i + 1:]:
-                if one.place != two.place:
-                    found.append((f"{one.words}, and {two.words}", functools.partial(_changed, tree, one, two)))
-    return tuple(found)
-
-
-def plain_answers(name: str) -> list[Callable]:
-    """The plain answers to an exercise: the function of its name, and name__otherwise where two are usual."""
-    return [function for key, function in vars(plain).items()
-            if key.split("__")[0] == name and inspect.isfunction(function)]
-
-
-def _plain(name) -> list[str]:
-    return [inspect.getsource(function) for function in plain_answers(name)]
+            found.append((change.words, _changed(tree, change, answer.__globals__), change.kind))
+    return tuple(sorted(found, key=lambda mutant: mutant[2]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,16 +67,15 @@ class _Change:
         return old
 
 
-def _changed(tree, *changes) -> Callable:
-    """The function with these changes; the tree itself stays as it is."""
-    old = [change.swap(change.new) for change in changes]
+def _changed(tree, change, scope) -> Callable:
+    """The function with this change; the tree itself stays as it is."""
+    old = change.swap(change.new)
     try:
-        scope = dict(vars(plain))
-        exec(compile(tree, "<changed>", "exec"), scope)
-        return scope[tree.body[0].name]
+        made: dict[str, Any] = {}
+        exec(compile(tree, "<changed>", "exec"), _SCOPE | scope, made)
+        return made[tree.body[0].name]
     finally:
-        for change, node in zip(changes[::-1], old[::-1]):
-            change.swap(node)
+        change.swap(old)
 
 
 # --- where, and into what ---------------------------------------------------------------------------------

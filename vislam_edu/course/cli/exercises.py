@@ -14,7 +14,7 @@ def add_arguments(parser):
     what = parser.add_mutually_exclusive_group(required=True)
     what.add_argument("--report", type=Path, metavar="PATH",
                       help="run a submitted notebook, or all in a folder, and say which checks passed; this runs "
-                           "their code: see the README before you run strangers' notebooks")
+                           "their code: docs/teaching.md says what protects you")
     what.add_argument("--museum", action="store_true", help="print every exercise, its mistakes and their hints")
     parser.add_argument("--out", type=Path, default=Path(), metavar="DIR",
                         help="where --report writes exercises.csv and .json, matrix.csv, summary.txt and feedback/ "

@@ -9,7 +9,7 @@ from ...cli.arguments import OptionError
 from ...recordings import files, shipped
 
 FIRST = "00_start_here.ipynb"
-COPIED = ("notebooks/*.ipynb", "notebooks/images/*", "docs/notation.md", "docs/reading.md", "docs/instructor.md")
+COPIED = ("notebooks/*.ipynb", "notebooks/images/*", "docs/notation.md", "docs/reading.md")
 
 
 def add_arguments(parser):
@@ -27,7 +27,8 @@ def run(arguments) -> int:
     first = arguments.folder / "notebooks" / FIRST
     if arguments.no_open:
         return 0
-    return subprocess.call([sys.executable, "-m", "jupyterlab", str(first)])
+    root = f"--ServerApp.root_dir={arguments.folder}"  # the pages in docs/ too, which chapter 00 links to
+    return subprocess.call([sys.executable, "-m", "jupyterlab", root, str(first)])
 
 
 def copy_notebooks(folder: Path) -> tuple[int, int]:

@@ -19,11 +19,11 @@ import numpy as np
 from scipy import stats
 
 from ...belief import Step
-from ...plots import style
+from ...plots.text import PAGE
 from ...recordings.files import shown
 from . import clinic_tests
-from .clinic_tests import TESTS, Readings, bands, read
-from .patients import FAULTS, HEALTHY, KINDS, PIECES, SEAMS, Build, Drawn, draw, stream
+from .clinic_tests import CLEARED_TOGETHER, TESTS, Readings, bands, read
+from .patients import FAULTS, HEALTHY, KINDS, PIECES, Build, Drawn, draw, stream
 
 BUDGETS = {1: 11, 2: 8, 3: 12}
 SUSPECTS = {1: 6}  # at level 1 so many pieces are named; otherwise all are
@@ -39,7 +39,10 @@ class BudgetError(ValueError):
 
 @dataclass(frozen=True)
 class Score:
-    """What an answer scored: out of 10 the sum of five parts; `remarks` says why."""
+    """What an answer scored: out of 10 the sum of five parts; `remarks` says why.
+
+    diffs : of each fault that is an edit of the package's code, the wrong lines (-) and the right ones (+).
+    """
 
     piece: float
     kind: float
@@ -48,6 +51,7 @@ class Score:
     thrift: float
     truth: tuple[tuple[str, str], ...]
     remarks: tuple[str, ...] = ()
+    diffs: tuple[str, ...] = ()
 
     @property
     def total(self) -> float:
@@ -57,7 +61,7 @@ class Score:
         parts = ", ".join(f"{name} {getattr(self, name):.3g} of {most}" for name, most in
                           (("piece", 2), ("kind", 1), ("evidence", 3), ("cure", 3), ("thrift", 1)))
         truth = "; ".join(f"{piece}: {kind}" for piece, kind in self.truth)
-        return "\n".join([f"{self.total:.3g} of 10 ({parts})", f"It was {truth}.", *self.remarks])
+        return "\n".join([f"{self.total:.3g} of 10 ({parts})", f"It was {truth}.", *self.diffs, *self.remarks])
 
 
 class Patient:
@@ -125,8 +129,10 @@ class Patient:
     @property
     def left(self) -> list[str]:
         """The suspects that no ordered test has cleared; "nothing" only while no reading is outside its band."""
-        cleared = {piece for name in self.readings if not self.abnormal(name) for piece in TESTS[name].clears}
-        if any(self.abnormal(name) for name in self.readings):
+        clean = {name for name in self.readings if not self.abnormal(name)}
+        cleared = {piece for name in clean for piece in TESTS[name].clears}
+        cleared |= {piece for piece, tests in CLEARED_TOGETHER.items() if clean.issuperset(tests)}
+        if len(clean) < len(self.readings):
             cleared.add(HEALTHY)
         return [piece for piece in self.suspects if piece not in cleared]
 
@@ -146,7 +152,7 @@ class Patient:
         """Answer, once. piece, kind : of `PIECES` and `KINDS`; for two faults tuples of two, and so for evidence.
 
         evidence : the name of an ordered test that shows the fault; for "nothing" all ordered tests count.
-        cure : {seam of `Build`: what is to stand there}; by default the package's own in the seam of each named piece.
+        cure : {seam of `Build`: what is to stand there}; by default the package's own for each piece named rightly.
         Raises ValueError for a second answer or an unknown word.
         """
         if self.score is not None:
@@ -156,8 +162,6 @@ class Patient:
         if unknown or len(pieces) != len(kinds):
             raise ValueError(f"pieces are {', '.join(PIECES)}; kinds are {', '.join(KINDS)}; got {pieces} and {kinds}")
         tests = tests + ("",) * (len(pieces) - len(tests))
-        if cure is None:
-            cure = {SEAMS[one]: getattr(Build(), SEAMS[one]) for one in pieces if one in SEAMS}
         self.score = self._judge(tuple(zip(pieces, kinds)), tests, cure)
         return self.score
 
@@ -170,7 +174,7 @@ def _tuple(value) -> tuple[str, ...]:
 
 
 def _wrapped(text) -> str:
-    return textwrap.fill(text, style.PAGE, subsequent_indent="  ")
+    return textwrap.fill(text, PAGE, subsequent_indent="  ")
 
 
 def _number(value) -> str:
@@ -269,9 +273,12 @@ def _score(patient: Patient, drawn: Drawn, examine, findings, evidence, cure) ->
         else:
             proofs += 1
     n = max(len(drawn.faults), len(findings))
+    if cure is None:
+        cure = _undone(drawn, [piece for piece, _ in findings])
     cured = _cure(drawn, cure, [test for test in evidence if test in patient.readings], remarks) if found else 0
     thrift = found == n and patient.budget >= 1
-    return Score(2 * found / n, kinds / n, 3 * min(proofs, n) / n, cured, float(thrift), truth, tuple(remarks))
+    return Score(2 * found / n, kinds / n, 3 * min(proofs, n) / n, cured, float(thrift), truth, tuple(remarks),
+                 tuple(seam.diff for seam in vars(drawn.build).values() if hasattr(seam, "diff")))
 
 
 def _score_healthy(patient, truth, findings) -> Score:
@@ -282,6 +289,12 @@ def _score_healthy(patient, truth, findings) -> Score:
     remarks = () if proved or not right else ("Healthy is an answer that needs three tests, one of them a bench.",)
     return Score(2.0 * right, 1.0 * right, 3.0 * proved, 3.0 * proved, float(proved and patient.budget >= 1), truth,
                  remarks)
+
+
+def _undone(drawn: Drawn, pieces: list[str]) -> dict[str, Any]:
+    """A cure: the package's own at the seams of those faults that one of the pieces names."""
+    named = [FAULTS[name] for name in drawn.faults if any(piece in pieces for piece, _ in FAULTS[name].answers)]
+    return {seam: getattr(Build(), seam) for fault in named for seam in fault.changes(1.0)}
 
 
 def _cure(drawn: Drawn, cure: Mapping[str, Any], evidence: list[str], remarks: list[str]) -> float:
@@ -305,7 +318,7 @@ def _rmse_and_sigma(build: Build, seed: int) -> tuple[float, float]:
     """m: RMSE of the position, and its mean standard deviation as the filter states it."""
     drive = clinic_tests.base_drive(seed)
     run = clinic_tests.driven(build, drive, seed)
-    if not run.whole:
+    if run.problem:
         return np.inf, np.inf
-    variances = [np.trace(step.posterior.pose_covariance[:3, :3]) for step in run.steps]
+    variances = np.trace(run.covariance[:, :3, :3], axis1=1, axis2=2)
     return float(clinic_tests.numbers_of(run, drive)["RMSE"]), float(np.sqrt(max(np.mean(variances), 0)))

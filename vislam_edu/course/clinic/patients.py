@@ -12,27 +12,48 @@ from typing import Any
 
 import numpy as np
 
-from ... import motion, se3, window_slam
+from ... import motion, window_slam
 from ...drive import Drive
 from ...error_state import ErrorState, RightPerturbation
 from ...noise import Noise
 from ...simulate import faults as recording_faults
 from ...stereo import StereoCamera
-from ..ch10 import broken_filters as museum
+from ..ch10 import broken_filters as ch10
+from ..ch10.broken_filters import wrong
 
 HEALTHY = "nothing"
 
-# Where a piece sits: the seam of a Build that a cure replaces.
-SEAMS = {
-    "camera Jacobian": "camera", "triangulation": "camera",
-    "landmark Jacobian": "error_state", "pose Jacobian": "error_state", "correction": "error_state",
-    "predicted pose": "motion_model", "predicted covariance": "motion_model",
-    "new landmarks": "process_frame", "covariance after the update": "process_frame",
-    "noise values": "noise", "IMU": "recording", "tracks": "recording", "extrinsics": "recording",
+PIECES = {
+    "camera Jacobian": "the derivative of the pixels by the point in the camera frame",
+    "triangulation": "the point in the camera frame, from its pixels",
+    "landmark Jacobian": "H of the landmark: the derivative of the pixels by its position",
+    "pose Jacobian": "H of the pose: the derivative of the pixels by its six errors",
+    "correction": "how the estimated error is put into the pose and the landmarks",
+    "predicted pose": "where the IMU moves the pose",
+    "predicted covariance": "how F and W move the covariance, cross terms included",
+    "new landmarks": "mean, covariance and correlation of a landmark at its birth",
+    "covariance after the update": "what the filter keeps of the covariance when a frame is done",
+    "noise values": "the sigmas that the filter believes of the IMU and of the pixels",
+    "IMU": "the IMU's samples in the recording",
+    "tracks": "the pixels in the recording, and which landmark they belong to",
+    "extrinsics": "where the recording says that the camera sits on the body",
+    HEALTHY: "no piece is wrong",
 }
-PIECES = (*SEAMS, HEALTHY)
-KINDS = ("sign", "transpose", "frame", "factor", "order", "units", "missing", "counted twice", "noise", "offset",
-         "timing", "outliers", HEALTHY)
+KINDS = {
+    "sign": "a sign is wrong, or an inverse is missing",
+    "transpose": "a matrix is transposed, or is not where it should be",
+    "frame": "a quantity of one frame is used as one of another",
+    "factor": "a quantity is a constant times what it should be",
+    "order": "entries stand in another order than the code assumes",
+    "units": "a number in one unit is used as one in another: degrees, pixels",
+    "missing": "a term or a step is left out",
+    "counted twice": "one measurement is used as two",
+    "noise": "more or less noise than is assumed",
+    "offset": "a constant is added",
+    "timing": "a value belongs to another time",
+    "outliers": "some values have nothing to do with the truth",
+    HEALTHY: "no piece is wrong",
+}
 
 
 def unchanged(value: Any) -> Any:
@@ -84,81 +105,46 @@ class Fault:
         return ((self.piece, self.kind), *self.also)
 
 
-# --- pieces that are wrong, beyond those of the museum --------------------------------------------------------
+# --- pieces that are wrong, beyond those of chapter 10 ---------------------------------------------------------
+
+@dataclass(frozen=True, eq=False)
+class Edited:
+    """What stands at a seam of a Build and makes an edited object. diff : the wrong lines (-) beside the right (+)."""
+
+    make: Callable[..., Any]
+    diff: str
+
+    def __call__(self, *arguments: Any) -> Any:
+        return self.make(*arguments)
+
 
 def _camera(kind):
-    return {"camera": lambda camera: kind(camera.K, camera.baseline, camera.cam_T_imu)}
+    return {"camera": Edited(lambda camera: kind(camera.K, camera.baseline, camera.cam_T_imu), kind.diff)}
 
 
-def _pose_columns(factors):
-    """The pose Jacobian with its six columns multiplied."""
-    class Scaled(RightPerturbation):
-        def jacobians(self, world_T_imu, landmarks, J):
-            H_landmark, H_pose = super().jacobians(world_T_imu, landmarks, J)
-            return H_landmark, H_pose * factors
-    return {"error_state": lambda camera: Scaled()}
+def _state(kind):
+    return {"error_state": Edited(lambda camera: kind(), kind.diff)}
 
 
-class _LandmarkTransposed(RightPerturbation):
-    """J R, where J R^T belongs."""
-
-    def jacobians(self, world_T_imu, landmarks, J):
-        return J @ world_T_imu[:3, :3], super().jacobians(world_T_imu, landmarks, J)[1]
+def _error(method, *edits):
+    """The right perturbation with edits in a method."""
+    return _state(wrong(RightPerturbation, method, *edits))
 
 
 def _gain(factor):
-    class Scaled(RightPerturbation):
-        def retract(self, world_T_imu, landmarks, delta):
-            return super().retract(world_T_imu, landmarks, factor * delta)
-    return {"error_state": lambda camera: Scaled()}
-
-
-class _BirthSign(RightPerturbation):
-    """G = R [I, +s^]."""
-
-    def birth(self, world_T_imu, points_imu):
-        G, A = super().birth(world_T_imu, points_imu)
-        return G * np.repeat([1, -1], 3), A
-
-
-class _BirthNotTurned(RightPerturbation):
-    """The triangulation's covariance left in the IMU frame."""
-
-    def birth(self, world_T_imu, points_imu):
-        return super().birth(world_T_imu, points_imu)[0], np.eye(3)
+    return _error("retract", ("n = len(landmarks)", f"n, delta = len(landmarks), {factor} * delta"))
 
 
 def _transition(F):
-    """F as a function of the step's increment."""
-    class Changed(RightPerturbation):
-        def pose_transition(self, after, increment, body_noise):
-            return F(increment), body_noise
-
-    def model(drive, noise, error_state):
-        return motion.ImuDriven(drive, noise, Changed())
-    return {"motion_model": model}
+    """Another F in the prediction."""
+    kind = wrong(RightPerturbation, "pose_transition", ("se3.adjoint(se3.inverse(increment))", F))
+    return {"motion_model": Edited(lambda drive, noise, error_state: motion.ImuDriven(drive, noise, kind()), kind.diff)}
 
 
-class _MovedInTheWorld(motion.ImuDriven):
-    """exp(tau u^) T."""
-
-    def predict(self, belief, k):
-        return replace(super().predict(belief, k), world_T_imu=self.increments[k] @ belief.world_T_imu)
-
-
-class _NextSample(motion.ImuDriven):
-    """Step k driven by the sample of frame k + 1."""
-
-    def __init__(self, drive, noise, error_state):
-        super().__init__(drive.replace(twists=np.vstack([drive.twists[1:], drive.twists[-1:]])), noise, error_state)
-
-
-class _DoubledW(motion.ImuDriven):
-    """2 W."""
-
-    def __init__(self, drive, noise, error_state):
-        super().__init__(drive, noise, error_state)
-        self.Q = 2 * self.Q
+_MovedInTheWorld = wrong(motion.ImuDriven, "transition", ("belief.world_T_imu @ self.increments[k]",
+                                                          "self.increments[k] @ belief.world_T_imu"))
+_NextSample = ch10.other_twists("np.vstack([drive.twists[1:], drive.twists[-1:]])")
+_DoubledW = wrong(motion.ImuDriven, "__init__", ("noise.twist_covariance", "2 * noise.twist_covariance"))
 
 
 def _noise(**factors):
@@ -211,52 +197,56 @@ def _fixed(changes):
     return lambda severity: changes
 
 
-def _state(kind):
-    return {"error_state": lambda camera: kind()}
+def _frame(process_frame):
+    return _fixed({"process_frame": process_frame})
 
+
+def _model(motion_model):
+    return _fixed({"motion_model": motion_model})
+
+
+_HAT = "J @ se3.so3_hat(s)"
 
 FAULTS: dict[str, Fault] = {
     HEALTHY: Fault(HEALTHY, HEALTHY, _fixed({}), levels=(2, 3)),
-    "births first": Fault(HEALTHY, HEALTHY, _fixed({"process_frame": births_first}), levels=(2, 3)),
-    "depth": Fault("camera Jacobian", "factor", _fixed(_camera(museum.NotDividedByDepth)), seen_by=("H",)),
-    "bearings": Fault("triangulation", "units", _fixed(_camera(museum.PixelsAsBearings)), seen_by=("birth",)),
-    "extrinsics": Fault("pose Jacobian", "frame",
-                        _fixed({"error_state": museum.WithoutExtrinsics}), seen_by=("H",)),
-    "sign": Fault("pose Jacobian", "sign", _fixed(_pose_columns(-1.0)), seen_by=("H",)),
-    "rotation sign": Fault("pose Jacobian", "sign", _fixed(_pose_columns(np.repeat([1, -1], 3))), seen_by=("H",)),
-    "position sign": Fault("pose Jacobian", "sign", _fixed(_pose_columns(np.repeat([-1, 1], 3))), seen_by=("H",)),
-    "rotation factor": Fault("pose Jacobian", "factor", lambda s: _pose_columns(np.repeat([1, s], 3)), (0.5, 2.0),
-                             seen_by=("H",)),
-    "landmark transposed": Fault("landmark Jacobian", "transpose", _fixed(_state(_LandmarkTransposed)),
-                                 seen_by=("H",)),
-    "world": Fault("correction", "frame", _fixed(_state(museum.WorldCorrection)), seen_by=("update",)),
-    "copy": Fault("correction", "missing", _fixed(_state(museum.LandmarksOnACopy)), seen_by=("update",)),
-    "order": Fault("correction", "order", _fixed(_state(museum.GroupedOrder)), seen_by=("update",)),
+    "births first": Fault(HEALTHY, HEALTHY, _frame(births_first), levels=(2, 3)),
+    "depth": Fault("camera Jacobian", "factor", _fixed(_camera(ch10.NotDividedByDepth)), seen_by=("H",)),
+    "bearings": Fault("triangulation", "units", _fixed(_camera(ch10.PixelsAsBearings)), seen_by=("birth",)),
+    "extrinsics": Fault("pose Jacobian", "frame", _fixed({"error_state": ch10.WithoutExtrinsics}), seen_by=("H",)),
+    "sign": Fault("pose Jacobian", "sign", _fixed(_state(ch10.SignFlipped)), seen_by=("H",)),
+    "rotation sign": Fault("pose Jacobian", "sign", _fixed(_error("jacobians", (_HAT, f"-{_HAT}"))), seen_by=("H",)),
+    "position sign": Fault("pose Jacobian", "sign", _fixed(_error("jacobians", ("[-J,", "[J,"))), seen_by=("H",)),
+    "rotation factor": Fault("pose Jacobian", "factor", lambda s: _error("jacobians", (_HAT, f"{s} * {_HAT}")),
+                             (0.5, 2.0), seen_by=("H",)),
+    "landmark transposed": Fault("landmark Jacobian", "transpose",
+                                 _fixed(_error("jacobians", (":3].T", ":3]"))), seen_by=("H",)),
+    "world": Fault("correction", "frame", _fixed(_state(ch10.WorldCorrection)), seen_by=("update",)),
+    "copy": Fault("correction", "missing", _fixed(_state(ch10.LandmarksOnACopy)), seen_by=("update",)),
+    "order": Fault("correction", "order", _fixed(_state(ch10.GroupedOrder)), seen_by=("update",)),
     "gain": Fault("correction", "factor", _gain, (0.4, 1.6), seen_by=("update",)),
-    "never": Fault("covariance after the update", "missing", _fixed({"process_frame": museum.without_cross_covariance}),
+    "never": Fault("covariance after the update", "missing", _frame(ch10.without_cross_covariance),
                    seen_by=("standing still", "update")),
-    "cross": Fault("predicted covariance", "missing", _fixed({"motion_model": museum.CrossNotPropagated}),
-                   levels=(2, 3), seen_by=("predict",)),
-    "F transposed": Fault("predicted covariance", "sign", _fixed(_transition(se3.adjoint)), seen_by=("predict",)),
-    "F left out": Fault("predicted covariance", "missing", _fixed(_transition(lambda increment: np.eye(6))),
-                        levels=(2, 3), seen_by=("predict",)),
-    "tau": Fault("predicted covariance", "factor", _fixed({"motion_model": museum.NoiseWithoutTau}),
+    "cross": Fault("predicted covariance", "missing", _model(ch10.CrossNotPropagated), levels=(2, 3),
+                   seen_by=("predict",)),
+    "F transposed": Fault("predicted covariance", "sign", _fixed(_transition("se3.adjoint(increment)")),
+                          seen_by=("predict",)),
+    "F left out": Fault("predicted covariance", "missing", _fixed(_transition("np.eye(6)")), levels=(2, 3),
+                        seen_by=("predict",)),
+    "tau": Fault("predicted covariance", "factor", _model(ch10.NoiseWithoutTau),
                  also=(("noise values", "factor"), ("noise values", "noise")), seen_by=("predict",)),
-    "W doubled": Fault("predicted covariance", "factor", _fixed({"motion_model": _DoubledW}), levels=(2, 3),
+    "W doubled": Fault("predicted covariance", "factor", _model(_DoubledW), levels=(2, 3),
                        also=(("noise values", "factor"), ("noise values", "noise")), seen_by=("predict",)),
-    "swapped": Fault("predicted pose", "order", _fixed({"motion_model": museum.SwappedTwist}), seen_by=("predict",)),
-    "degrees": Fault("predicted pose", "units", _fixed({"motion_model": museum.Degrees}), seen_by=("predict",)),
-    "moved in the world": Fault("predicted pose", "frame", _fixed({"motion_model": _MovedInTheWorld}),
-                                seen_by=("predict",)),
-    "next sample": Fault("predicted pose", "timing", _fixed({"motion_model": _NextSample}), levels=(3,),
-                         also=(("IMU", "timing"),), seen_by=("predict",)),
-    "birth": Fault("new landmarks", "missing", _fixed({"process_frame": museum.born_uncorrelated}),
-                   seen_by=("birth",)),
-    "twice": Fault("new landmarks", "counted twice", _fixed({"process_frame": museum.used_twice}), levels=(2, 3),
-                   seen_by=("birth",)),
-    "prior": Fault("new landmarks", "missing", _fixed({"process_frame": window_slam.as_report}), seen_by=("birth",)),
-    "birth sign": Fault("new landmarks", "sign", _fixed(_state(_BirthSign)), seen_by=("birth",)),
-    "birth not turned": Fault("new landmarks", "frame", _fixed(_state(_BirthNotTurned)), seen_by=("birth",)),
+    "swapped": Fault("predicted pose", "order", _model(ch10.SwappedTwist), seen_by=("predict",)),
+    "degrees": Fault("predicted pose", "units", _model(ch10.Degrees), seen_by=("predict",)),
+    "moved in the world": Fault("predicted pose", "frame", _model(_MovedInTheWorld), seen_by=("predict",)),
+    "next sample": Fault("predicted pose", "timing", _model(_NextSample), levels=(3,), also=(("IMU", "timing"),),
+                         seen_by=("predict",)),
+    "birth": Fault("new landmarks", "missing", _frame(ch10.born_uncorrelated), seen_by=("birth",)),
+    "twice": Fault("new landmarks", "counted twice", _frame(ch10.used_twice), levels=(2, 3), seen_by=("birth",)),
+    "prior": Fault("new landmarks", "missing", _frame(window_slam.as_report), seen_by=("birth",)),
+    "birth sign": Fault("new landmarks", "sign", _fixed(_error("birth", ("-R @", "R @"))), seen_by=("birth",)),
+    "birth not turned": Fault("new landmarks", "frame",
+                              _fixed(_error("birth", ("axis=-1), R", "axis=-1), np.eye(3)"))), seen_by=("birth",)),
     "sigma_px": Fault("noise values", "noise", lambda s: _noise(sigma_px=s), (0.5, 1.6, 2.5), seen_by=("birth",),
                       also=(("noise values", "factor"),)),
     "sigma_v": Fault("noise values", "noise", lambda s: _noise(sigma_v=s), (0.3, 2.5, 5.0), levels=(2, 3),
@@ -275,6 +265,8 @@ FAULTS: dict[str, Fault] = {
                     seen_by=("recording",)),
     "rows": Fault("tracks", "offset", _row_offset, (2.0, -3.0), seen_by=("recording",)),
 }
+
+
 
 
 # --- drawing --------------------------------------------------------------------------------------------------

@@ -11,7 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from ...recordings.files import shown
-from ..checks.exercise import EXERCISES, Exercise
+from ..checks.exercise import Exercise
+from ..exercises import EXERCISES
 from . import submission
 
 POINTS = 1

@@ -16,14 +16,14 @@ import tempfile
 import threading
 import time
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from ...recordings.files import shown
 from ..checks.check import VERDICTS
-from ..checks.exercise import EXERCISES
 from ..checks.verdict import NOT_WRITTEN, RIGHT, WRONG
+from ..exercises import EXERCISES
 from . import submission
 from .sandbox import Sandbox
 
@@ -37,12 +37,12 @@ _CHAPTER = re.compile(r"(\d\d)_")
 _PASSED_ON = {"PATH", "HOME", "USER", "LANG", "LC_ALL", "TZ", "TMPDIR", "TEMP", "TMP", "SYSTEMROOT", "SYSTEMDRIVE",
               "COMSPEC", "PATHEXT", "USERPROFILE", "APPDATA", "LOCALAPPDATA", "PYTHONPATH", "VIRTUAL_ENV",
               "CONDA_PREFIX", "LD_LIBRARY_PATH", "JUPYTER_PATH", "MPLCONFIGDIR", "XDG_CACHE_HOME"}
-_PACKAGE = str(Path(__file__).resolve().parents[2])
+_PACKAGE = str(Path(__file__).resolve().parents[3])
 # -P: the folder that the grader stands in is not searched. A process between the two: a notebook may end its parent.
 _BETWEEN = [sys.executable, "-I", "-S", "-c", "import subprocess, sys; sys.exit(subprocess.call(sys.argv[1:]) != 0)"]
 _RUN = f"""import sys; from pathlib import Path
 if {_PACKAGE!r} not in sys.path: sys.path.insert(0, {_PACKAGE!r})
-from vislam_edu.course.exercises import submission
+from vislam_edu.course.grading import submission
 submission.run(Path(sys.argv[1]), Path(sys.argv[2]), int(sys.argv[3]))"""
 
 
@@ -188,15 +188,23 @@ def _entries(record) -> list[dict[str, Any]]:
 
 
 def _verdicts(record) -> dict[str, Result]:
-    """The last verdict on each exercise, as far as the record makes sense."""
+    """The last verdict on each exercise, as far as the record makes sense.
+
+    A score of the capstone stands beside the verdict of its check and never replaces it: without a check the exercise
+    counts as not written.
+    """
     results: dict[str, Result] = {}
+    scores: dict[str, dict | None] = {}
     for entry in _entries(record):
         name, status = entry.get("exercise"), entry.get("status")
-        if not (isinstance(name, str) and name in EXERCISES and status in (RIGHT, WRONG, NOT_WRITTEN)):
+        if not (isinstance(name, str) and name in EXERCISES):
             continue
-        score = entry.get("score", results[name].score if name in results else None)
-        results[name] = Result(name, status, shown(entry.get("mistake", "")), _lines(entry.get("text", "")),
-                               _score(score))
+        if "score" in entry:
+            scores[name] = _score(entry["score"])
+        elif status in (RIGHT, WRONG, NOT_WRITTEN):
+            results[name] = Result(name, status, shown(entry.get("mistake", "")), _lines(entry.get("text", "")))
+    for name, score in scores.items():
+        results[name] = replace(results.get(name) or Result(name, NOT_WRITTEN), score=score)
     return results
 
 

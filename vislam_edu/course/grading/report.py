@@ -11,8 +11,8 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from ...recordings.files import shown, write_csv, write_text
-from ..checks.exercise import EXERCISES
 from ..checks.verdict import NOT_WRITTEN, RIGHT, WRONG
+from ..exercises import EXERCISES
 from . import grading
 from .grading import Result, Submission
 

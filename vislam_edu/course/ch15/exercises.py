@@ -1,0 +1,142 @@
+"""Exercises of notebook 15: the structure tensor, a step of Lucas-Kanade, the row check, rectifying a point."""
+
+import numpy as np
+
+from ... import lens, tracking
+from ..checks.exercise import exercise
+
+
+def _gradients(rng):
+    for size in (3, 5, 9):
+        yield "random", (rng.normal(0, 10, (size, size)), rng.normal(0, 4, (size, size)))
+
+
+@exercise(chapter=15, cases=_gradients, shows=[tracking.structure_tensor, tracking.smaller_eigenvalue],
+          outputs=["A", "smaller"], hints=[
+    "Each pixel adds the outer product of its gradient (g_u, g_v) with itself.",
+    "The smaller eigenvalue is np.linalg.eigvalsh(A)[0]."])
+def patch_information(g_u, g_v):
+    """The structure tensor of a patch, summed over its pixels, and its smaller eigenvalue.
+
+    g_u, g_v : (s, s), grey values per px, the gradient along the row and along the column.
+    Returns A (2, 2) and a number.
+    """
+    A = np.array([[np.sum(g_u * g_u), np.sum(g_u * g_v)], [np.sum(g_u * g_v), np.sum(g_v * g_v)]])
+    return A, np.linalg.eigvalsh(A)[0]
+
+
+@patch_information.mistake("outer product of the sums", """Gradients of both signs cancel in the sum, and the outer
+product of one vector has rank one: its smaller eigenvalue is 0 for every patch. Multiply first, then sum.""")
+def _(g_u, g_v):
+    g = np.array([g_u.sum(), g_v.sum()])
+    A = np.outer(g, g)
+    return A, np.linalg.eigvalsh(A)[0]
+
+
+@patch_information.mistake("larger eigenvalue", """The larger eigenvalue says how well the better direction is known; an
+edge has a large one too. A corner needs both, so the smaller one counts.""")
+def _(g_u, g_v):
+    A = np.array([[np.sum(g_u * g_u), np.sum(g_u * g_v)], [np.sum(g_u * g_v), np.sum(g_v * g_v)]])
+    return A, np.linalg.eigvalsh(A)[1]
+
+
+def _patches(rng):
+    for size in (5, 7, 11):
+        g_u, g_v = rng.normal(0, 10, (2, size, size))
+        template = rng.uniform(0, 255, (size, size))
+        yield "random", (template, template - 0.3 * g_u + 0.6 * g_v + rng.normal(0, 2, (size, size)), g_u, g_v)
+
+
+def _step(template, seen, g_u, g_v):
+    g = np.stack([g_u.ravel(), g_v.ravel()], axis=1)
+    return np.linalg.solve(g.T @ g, g.T @ (template - seen).ravel())
+
+
+@exercise(chapter=15, cases=_patches, shows=[tracking.lucas_kanade], hints=[
+    "Least squares: g step = template - seen, one equation for each pixel.",
+    "A step = b with A = sum g g^T and b = sum g (template - seen)."])
+def lucas_kanade_step(template, seen, g_u, g_v):
+    """One step of Gauss-Newton: where to look next in the other image.
+
+    template : (s, s), the patch. seen : (s, s), the other image at the present guess.
+    g_u, g_v : (s, s), the gradient of the template. Returns (2,) px, to be added to the guess (u, v).
+    """
+    return _step(template, seen, g_u, g_v)
+
+
+@lucas_kanade_step.mistake("sign", """The step goes the wrong way, and the residual grows. The other image must become
+the template: seen + g step = template.""")
+def _(template, seen, g_u, g_v):
+    return -_step(template, seen, g_u, g_v)
+
+
+@lucas_kanade_step.mistake("u and v swapped", "A point is (u, v): first along the row, with g_u, then down, with g_v.")
+def _(template, seen, g_u, g_v):
+    return _step(template, seen, g_u, g_v)[::-1]
+
+
+def _matches(rng):
+    for n in (6, 20, 50):
+        left = rng.uniform(0, 300, (n, 2))
+        disparity = rng.choice([-3.0, 0.5, 8.0, 40.0], n)
+        rows = rng.choice([-4.0, -0.4, 0.2, 1.7], n)
+        yield "random", (np.column_stack([left, left[:, 0] - disparity, left[:, 1] - rows]), 1.0)
+
+
+@exercise(chapter=15, cases=_matches, shows=[tracking.track], hints=[
+    "pixels[:, 1] and pixels[:, 3] are the rows, pixels[:, 0] - pixels[:, 2] the disparity.",
+    "A difference of rows has a sign: take its absolute value."])
+def row_check(pixels, tolerance):
+    """Which stereo matches may be right: rows that agree to `tolerance` px, and a positive disparity.
+
+    pixels : (n, 4), u_left, v_left, u_right, v_right, px, rectified. Returns (n,) bool.
+    """
+    return (np.abs(pixels[:, 1] - pixels[:, 3]) <= tolerance) & (pixels[:, 0] > pixels[:, 2])
+
+
+@row_check.mistake("difference of rows without its sign", """A right row far below the left one passes: the difference
+is then a large negative number. Compare its absolute value.""")
+def _(pixels, tolerance):
+    return (pixels[:, 1] - pixels[:, 3] <= tolerance) & (pixels[:, 0] > pixels[:, 2])
+
+
+@row_check.mistake("disparity not looked at", """A point in front of both cameras is farther left in the right image:
+u_left > u_right. A match with a negative disparity lies behind the cameras.""")
+def _(pixels, tolerance):
+    return np.abs(pixels[:, 1] - pixels[:, 3]) <= tolerance
+
+
+def _turned(rng):
+    for _ in range(3):
+        K, K_new = (np.array([[f, 0, 370.0], [0, f, 240.0], [0, 0, 1]]) for f in rng.uniform(400, 500, 2))
+        a, b, c = rng.uniform(-0.05, 0.05, 3)
+        R = np.linalg.qr(np.eye(3) + np.array([[0, -c, b], [c, 0, -a], [-b, a, 0]]))[0]
+        yield "random", (rng.uniform(0, 480, 2), K, R * np.sign(np.diag(R)), K_new)
+
+
+def _rectified(uv, K, R, K_new):
+    q = K_new @ R @ np.linalg.solve(K, np.append(uv, 1.0))
+    return q[:2] / q[2]
+
+
+@exercise(chapter=15, cases=_turned, shows=[lens.Lens.rectify], hints=[
+    "Pixel to ray with K^-1, turn the ray, ray to pixel with K_new.",
+    "The turned ray's third number is not 1: divide by it."])
+def rectify_point(uv, K, rectified_R_cam, K_new):
+    """Where a turned camera without distortion would have seen a pixel.
+
+    uv : (2,) px, of the camera with K (3, 3). rectified_R_cam : (3, 3), turns its rays into those of the rectified
+    camera, whose matrix is K_new (3, 3). Returns (2,) px.
+    """
+    return _rectified(uv, K, rectified_R_cam, K_new)
+
+
+@rectify_point.mistake("turned the other way", "rectified_R_cam maps rays of the camera; its transpose maps them back.")
+def _(uv, K, rectified_R_cam, K_new):
+    return _rectified(uv, K, rectified_R_cam.T, K_new)
+
+
+@rectify_point.mistake("no division by the third number", """A ray is known up to its length: after the turn its third
+number is no longer 1, and a pixel is what remains after dividing by it.""")
+def _(uv, K, rectified_R_cam, K_new):
+    return (K_new @ rectified_R_cam @ np.linalg.solve(K, np.append(uv, 1.0)))[:2]

@@ -1,0 +1,223 @@
+"""The joint filter with a real IMU: pose, velocity and both biases are estimated, gyro and accelerometer move them.
+
+    for step in window_slam.run(drive, noise, RightInvariant(), motion_model=inertial.AccelerometerDriven):
+        step.posterior.motion          # velocity (world), gyro bias, accelerometer bias
+
+`imu` has the mathematics, with a state R, p, v, b_g, b_a. Here it meets the filter's order [p, R, v, b_g, b_a], and an
+`ErrorState`, which decides what an error of position and rotation is. The velocity is a vector of the world as the
+position is, and its error is defined in the same way: with the right-invariant error the three become one element of
+SE_2(3), and F holds nothing but the identity, tau and gravity wherever no bias is involved.
+
+Source: Barrau, Bonnabel, The invariant extended Kalman filter as a stable observer, 2017; Hartley et al.,
+Contact-aided invariant extended Kalman filtering, 2020.
+
+>>> samples = ImuSamples(np.arange(200) * 0.005, np.full((200, 3), 0.01), np.tile([0, 0, 9.9], (200, 1)))
+>>> state, P = initial(samples, 0.0)
+>>> state.gyro_bias.round(3).tolist(), state.accelerometer_bias.round(3).tolist()
+([0.01, 0.01, 0.01], [0.0, 0.0, 0.09])
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from . import imu, motion, se3
+from .belief import Belief
+from .drive import Drive, DriveError
+from .error_state import ErrorState
+from .imu import ADIS16448, ImuNoise, State
+from .noise import Noise
+
+BIAS_SIGMA = np.repeat([0.1, 0.2], 3)  # rad/s and m/s^2, what a bias may be before anything was measured
+STILL = 0.02, 0.3  # rad/s and m/s^2: how far the samples of an IMU at rest may spread
+
+
+@dataclass(frozen=True, eq=False)
+class ImuSamples:
+    """What an IMU measured. Sample k lasts from times[k] to times[k + 1].
+
+    times : (n,) s, increasing. gyro : (n, 3), rad/s. accelerometer : (n, 3), m/s^2, specific force. noise : `ImuNoise`.
+    Raises DriveError.
+    """
+
+    times: np.ndarray
+    gyro: np.ndarray
+    accelerometer: np.ndarray
+    noise: ImuNoise = ADIS16448
+
+    def __post_init__(self) -> None:
+        for name in ("times", "gyro", "accelerometer"):
+            value = np.array(getattr(self, name), dtype=float)
+            shape = (np.size(self.times),) if name == "times" else (np.size(self.times), 3)
+            if value.shape != shape:
+                raise DriveError(f"imu {name}: shape {value.shape}, expected {shape}")
+            if not np.isfinite(value).all():
+                raise DriveError(f"imu {name}: sample {np.argwhere(~np.isfinite(value))[0, 0]} is not finite")
+            value.flags.writeable = False
+            object.__setattr__(self, name, value)
+        stuck = np.flatnonzero(np.diff(self.times) <= 0)
+        if stuck.size:
+            raise DriveError(f"imu times: do not increase, sample {stuck[0] + 1} is at {self.times[stuck[0] + 1]} s")
+
+    def between(self, start: float, end: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Gyro (n, 3), accelerometer (n, 3) and how long each lasts (n,), s, from start to end: what `imu` takes.
+
+        Raises DriveError where there are no samples.
+        """
+        if start < self.times[0] - 1e-6 or end > self.times[-1] + 1e-6:
+            raise DriveError(f"imu times: from {self.times[0]} to {self.times[-1]} s, no samples between the frames "
+                             f"at {start} and {end} s")
+        first, last = np.searchsorted(self.times, [start, end])
+        edges = np.concatenate([[start], self.times[first:last], [end]])
+        edges = edges[np.concatenate([[True], np.diff(edges) > 1e-9])]
+        rows = np.searchsorted(self.times, edges[:-1] + 1e-9, side="right") - 1
+        return self.gyro[rows], self.accelerometer[rows], np.diff(edges)
+
+
+def samples_of(drive: Drive) -> ImuSamples:
+    """The samples of a drive. Raises DriveError for one without an accelerometer."""
+    if drive.imu is None:
+        raise DriveError(f"{drive.name or 'this drive'} has no accelerometer (imu is None)")
+    return drive.imu
+
+
+def error_with_velocity(error_state: ErrorState) -> ErrorState:
+    """The error state with a velocity in `Belief.motion[:3]` that is corrected as a position is."""
+
+    class WithVelocity(type(error_state)):  # type: ignore[misc]
+        def retract_motion(self, world_T_imu: np.ndarray, values: np.ndarray, delta: np.ndarray) -> np.ndarray:
+            as_pose = se3.pose(world_T_imu[:3, :3], values[:3])
+            moved, _ = self.retract(as_pose, np.empty((0, *self.point_shape)), delta[np.r_[6:9, 3:6]])
+            return np.concatenate([moved[:3, 3], values[3:] + delta[9:]])
+
+    return WithVelocity()
+
+
+def to_imu_order(error_state: ErrorState, world_T_imu: np.ndarray, velocity: np.ndarray) -> np.ndarray:
+    """(15, 15): error of a filter [p, R, v, b_g, b_a] to that of `imu` [R, p, v, b_g, b_a], to first order."""
+    R = world_T_imu[:3, :3]
+    pose, moving = error_state.world_pose(world_T_imu), error_state.world_pose(se3.pose(R, velocity))
+    M = np.eye(15)
+    M[imu.ROTATION, :6] = R.T @ pose[3:]
+    M[imu.POSITION, :6] = pose[:3]
+    M[imu.VELOCITY, 3:6], M[imu.VELOCITY, 6:9] = moving[:3, 3:], moving[:3, :3]
+    return M
+
+
+class AccelerometerDriven(motion.MotionModel):
+    """The motion model of a real IMU: nine states join the pose, motion = [velocity, gyro bias, accelerometer bias].
+
+    drive : Drive with samples, `Drive.imu`. noise : Noise; the IMU's own is that of the samples.
+    error_state : `ErrorState`. begin : `imu.State` at frame 0 and its covariance (15, 15), in the order of `imu`; by
+    default those of a stand-still (`initial`).
+    Raises DriveError for a drive without samples.
+    """
+
+    def __init__(self, drive: Drive, noise: Noise, error_state: ErrorState,
+                 begin: tuple[State, np.ndarray] | None = None) -> None:
+        self.samples, self.times = samples_of(drive), drive.times
+        self.error_state = error_with_velocity(error_state)
+        self.begin = begin
+
+    def start(self, world_T_imu: np.ndarray | None = None) -> Belief:
+        """The belief at frame 0. A pose given takes the place of the one that the samples show."""
+        state, P = self.begin or initial(self.samples, self.times[0])
+        T = se3.pose(state.rotation, state.position) if world_T_imu is None else np.array(world_T_imu)
+        M = np.linalg.inv(to_imu_order(self.error_state, T, state.velocity))
+        no_points = np.empty((0, *self.error_state.point_shape))
+        return Belief(T, no_points, np.empty(0, dtype=int), motion.symmetric(M @ P @ M.T),
+                      np.concatenate([state.velocity, state.gyro_bias, state.accelerometer_bias]))
+
+    def transition(self, belief: Belief, k: int) -> motion.Transition:
+        """From frame k to frame k + 1 along the samples between them, joined into one motion."""
+        state = state_of(belief)
+        joined = imu.preintegrate(*self.samples.between(*self.times[k:k + 2]), state.gyro_bias,
+                                  state.accelerometer_bias, self.samples.noise)
+        end = imu.predict(state, joined)
+        after = se3.pose(end.rotation, end.position)
+        F, Q = imu.transition(state.rotation, joined)
+        N = np.linalg.inv(to_imu_order(self.error_state, after, end.velocity))
+        F = N @ F @ to_imu_order(self.error_state, belief.world_T_imu, state.velocity)
+        moved = self.error_state.landmark_transition
+        return motion.Transition(after, np.concatenate([end.velocity, belief.motion[3:]]), F,
+                                 moved(belief.points, (F - np.eye(15))[:6]), N, moved(belief.points, N[:6]), Q)
+
+    def predict(self, belief: Belief, k: int) -> Belief:
+        """The belief at frame k + 1 before the camera update."""
+        return motion.propagate(belief, self.transition(belief, k))
+
+
+def state_of(belief: Belief) -> State:
+    """The mean of a belief as a `State` of `imu`."""
+    T, values = belief.world_T_imu, belief.motion
+    return State(T[:3, :3], T[:3, 3], values[:3], values[3:6], values[6:9])
+
+
+def true_states(start: np.ndarray, world_T_imu: np.ndarray, velocities: np.ndarray,
+                biases: np.ndarray) -> list[State]:
+    """The truth in the world in which an estimate begins, at the pose `start` (4, 4): its state at each of T frames.
+
+    world_T_imu : (T, 4, 4). velocities : (T, 3), m/s. biases : (T, 6), rad/s and m/s^2.
+    """
+    W = in_world_of(start, world_T_imu[0])
+    poses, velocities = W @ world_T_imu, velocities @ W[:3, :3].T
+    return [State(T[:3, :3], T[:3, 3], v, b[:3], b[3:]) for T, v, b in zip(poses, velocities, biases)]
+
+
+def error(belief: Belief, true: State, error_state: ErrorState) -> np.ndarray:
+    """(15,), the error [p, R, v, b_g, b_a] of a belief in its own coordinates: what its covariance speaks of."""
+    mean = state_of(belief)
+
+    def difference(of: np.ndarray, by: np.ndarray) -> np.ndarray:
+        return error_state.pose_difference(se3.pose(true.rotation, of), se3.pose(mean.rotation, by))
+
+    return np.concatenate([difference(true.position, mean.position), difference(true.velocity, mean.velocity)[:3],
+                           true.difference(mean)[imu.BIASES]])
+
+
+def in_world_of(start: np.ndarray, world_T_imu: np.ndarray) -> np.ndarray:
+    """W (4, 4), which takes a world with z up to the one in which an estimate begins, at the pose `start` (4, 4).
+
+    world_T_imu : (4, 4), the true pose there. A turn about up and a shift: the four numbers that no IMU and no camera
+    measures. What remains between W world_T_imu and `start` is an error of roll and pitch.
+    """
+    turn = start[:3, :3] @ world_T_imu[:3, :3].T
+    R = se3.so3_exp([0, 0, np.arctan2(turn[1, 0] - turn[0, 1], turn[0, 0] + turn[1, 1])])
+    return se3.pose(R, start[:3, 3] - R @ world_T_imu[:3, 3])
+
+
+def still_until(samples: ImuSamples, start: float = -np.inf, window: float = 0.2) -> float:
+    """The time, s, until which the IMU stands still: within `STILL` of the first `window` s. `start` : s, from where.
+
+    A car at constant speed on a smooth road looks the same: no IMU can tell.
+    """
+    rows = samples.times >= start
+    times, values = samples.times[rows], np.hstack([samples.gyro, samples.accelerometer])[rows]
+    first = values[times <= times[0] + window].mean(axis=0)
+    size = max(1, np.searchsorted(times, times[0] + window / 4))
+    sums = np.cumsum(np.concatenate([np.zeros((1, 6)), values - first]), axis=0)
+    means = np.abs(sums[size:] - sums[:-size]) / size  # over a twentieth of a second: noise is no motion
+    moving = np.flatnonzero((means > np.repeat(STILL, 3)).any(axis=1))
+    return float(times[moving[0]]) if moving.size else float(times[-1])
+
+
+def initial(samples: ImuSamples, start: float, least: float = 0.3) -> tuple[State, np.ndarray]:
+    """State and covariance (15, 15), order of `imu`, at time `start`, s, from a stand-still of `least` s.
+
+    Where there is none the mean of the accelerometer over that time is still the best guess of where up is, but it
+    holds the car's own acceleration: 1 m/s^2 is a tilt of 0.1 rad. The biases are then zero and the velocity unknown,
+    each with its full uncertainty, and the cameras have to find them.
+    """
+    end = still_until(samples, start)
+    still = end - start >= least
+    gyro, accelerometer, taus = samples.between(start, end if still else start + least)
+    state, P = imu.stand_still(gyro, accelerometer, taus, samples.noise, BIAS_SIGMA[3])
+    if not still:
+        state = replace(state, gyro_bias=np.zeros(3), accelerometer_bias=np.zeros(3))
+        P = np.diag(np.square(np.concatenate([[0.1, 0.1, 1e-4], [1e-4] * 3, [30.0] * 3, BIAS_SIGMA])))
+    P[imu.POSITION, imu.POSITION] += 1e-8 * np.eye(3)
+    P[imu.ROTATION, imu.ROTATION] += 1e-8 * np.outer(state.rotation[2], state.rotation[2])
+    P[imu.VELOCITY, imu.VELOCITY] += 1e-6 * np.eye(3)
+    return state, P

@@ -1,0 +1,229 @@
+"""Images of a stereo camera, its calibration and its IMU on disk: KITTI's, EuRoC's and the course's layouts.
+
+Images are read one by one, when they are asked for. Nothing that a file contains is run.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Sequence
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+from .. import lens, se3
+from ..drive import Drive, DriveError
+from ..stereo import StereoCamera
+from . import extrinsics, files, layouts, unpickling
+
+Pair = tuple[np.ndarray, np.ndarray]
+_FOLDERS = (("image_0", "image_1"), ("image_2", "image_3"), ("mav0/cam0/data", "mav0/cam1/data"),
+            ("cam0/data", "cam1/data"), ("left", "right"))
+_SUFFIXES = {".png", ".jpg", ".jpeg", ".bmp", ".pgm", ".tif", ".tiff"}
+
+
+class Pairs:
+    """Left and right images by number, grey, (h, w), and their times, (n,) s, where the files say them.
+
+    readers : of each pair, two functions that read its images.
+    """
+
+    def __init__(self, readers: Sequence[tuple[Callable, Callable]], times: np.ndarray | None) -> None:
+        self.readers, self.times = readers, times
+
+    def __len__(self) -> int:
+        return len(self.readers)
+
+    def __getitem__(self, k: int) -> Pair:
+        left, right = (_grey(reader()) for reader in self.readers[k])
+        if left.shape != right.shape:
+            raise DriveError(f"pair {k}: left image {left.shape}, right image {right.shape}, expected one size")
+        return left, right
+
+
+def open_pairs(paths: Sequence[Path]) -> Pairs:
+    """Pairs of images: one folder that holds both cameras' (KITTI, EuRoC), two folders, or the course's _imgs.npy.
+
+    Raises DriveError naming the path and what is wrong.
+    """
+    path = Path(paths[0])
+    with files.errors_name(path):
+        if len(paths) == 1 and path.is_file():
+            if path.suffix.lower() in (".mp4", ".avi", ".mkv", ".mov"):
+                raise DriveError("a video of one camera; give both, left and right, or folders of images")
+            return _course(path)
+        if len(paths) == 2 and path.is_file():
+            return _videos(*map(Path, paths))
+        if len(paths) == 1:
+            found = [pair for pair in _FOLDERS if all((path / side).is_dir() for side in pair)]
+            if not found:
+                raise DriveError("expected a folder with " + ", ".join(map(" and ".join, _FOLDERS)))
+            paths = [path / side for side in found[0]]
+        left, right = ({file.stem: file for file in sorted(Path(folder).iterdir()) if file.suffix.lower() in _SUFFIXES}
+                       for folder in paths)
+        names = [name for name in left if name in right]
+        if not names:
+            raise DriveError(f"no image of {paths[0]} has one of the same name in {paths[1]}")
+        return Pairs([(_reader(left[name]), _reader(right[name])) for name in names], _times(Path(paths[0]), names))
+
+
+def _reader(path: Path) -> Callable[[], np.ndarray]:
+    def read() -> np.ndarray:
+        with files.errors_name(path), Image.open(path) as image:
+            return np.asarray(image.convert("L") if image.mode not in ("L", "I;16", "I") else image)
+    return read
+
+
+def _grey(image: np.ndarray) -> np.ndarray:
+    """(h, w) of an image (h, w) or (h, w, 1, 3 or 4), whose colours are averaged."""
+    return image if image.ndim == 2 else image[..., :3].mean(axis=-1)
+
+
+def _times(folder: Path, names: list[str]) -> np.ndarray | None:
+    """From names of nanoseconds (EuRoC), or a times.txt beside or above the folder (KITTI)."""
+    if all(name.isdigit() and len(name) > 12 for name in names):
+        return np.array([int(name) for name in names]) / 1e9
+    for path in (folder / "times.txt", folder.parent / "times.txt"):
+        if path.is_file():
+            return layouts.rows_of_numbers(path)[0][:len(names), 0]
+    return None
+
+
+def _course(path: Path) -> Pairs:
+    file = files.open_regular(path)  # stays open: images are read from it when they are asked for
+    if file.read(6) == b"\x93NUMPY":
+        file.seek(0)
+        files.npy_header(file)
+    else:
+        file.seek(0)
+    left, right = unpickling.load_lists(file, "cam_imgs_L", "cam_imgs_R")
+    return Pairs(list(zip(left, right)), None)
+
+
+def _videos(left: Path, right: Path) -> Pairs:
+    try:
+        import imageio.v3 as iio  # type: ignore[import-not-found]
+    except ImportError:
+        raise DriveError("reading videos needs an optional package: python -m pip install 'imageio[pyav]'; or unpack "
+                         "them into two folders of images") from None
+    n = min(iio.improps(path, plugin="pyav").shape[0] for path in (left, right))
+    left_readers, right_readers = ([partial(iio.imread, path, index=k, plugin="pyav") for k in range(n)]
+                                   for path in (left, right))
+    return Pairs(list(zip(left_readers, right_readers)), None)
+
+
+def open_calibration(paths: Sequence[Path]) -> tuple[lens.Rig, Callable[..., Drive]]:
+    """A rig to track with, and a function `make(frames, times, twists, **fields)` that makes the `Drive`.
+
+    paths : two of EuRoC's yaml files, left and right; KITTI's calib.txt, whose IMU is then taken to sit in the camera
+    (x forward, y left, z up); or a recording of the course.
+    """
+    from .. import tracking
+
+    path = Path(paths[0])
+    with files.errors_name(path):
+        if len(paths) == 2:
+            (K0, d0, T0), (K1, d1, T1) = (_yaml(Path(one)) for one in paths)
+            rig = lens.rectified(K0, K1, se3.inverse(T0) @ T1, se3.inverse(T0), d0, d1)
+            said = "tracked from images, points undistorted and rectified"
+        elif path.suffix == ".txt":
+            rig = _kitti(path)
+            said = "tracked from images; the IMU is taken to sit in the left camera, x forward, y left, z up"
+        else:
+            return _course_calibration(path)
+
+    def make(frames, times, twists, **fields) -> Drive:
+        return Drive(times=times, twists=twists, camera=rig.camera, history=(said,), **tracking.as_fields(frames),
+                     **fields)
+    return rig, make
+
+
+def _course_calibration(path: Path) -> tuple[lens.Rig, Callable[..., Drive]]:
+    from .. import tracking
+
+    with files.open_fields(path) as fields:
+        if "K_l" not in fields:
+            K, baseline = fields.numbers("K"), fields.number("b" if "b" in fields else "baseline")
+            key = fields.key("imu_T_cam", "cam_T_imu")
+            T = fields.numbers(key)
+            camera = StereoCamera(K, baseline, se3.inverse(T) if key == "imu_T_cam" else T)
+            left, right, K_right = np.eye(4), np.eye(4), None
+        else:
+            K, K_right, left, right = (fields.numbers(key) for key in ("K_l", "K_r", "extL_T_imu", "extR_T_imu"))
+    if K_right is None:
+        rig = lens.Rig(lens.Lens(camera.K), lens.Lens(camera.K), camera)
+        return rig, lambda frames, times, twists, **more: Drive(
+            times=times, twists=twists, camera=camera, history=("tracked from images",), **tracking.as_fields(frames),
+            **more)
+    imu_T_left, left_T_right = extrinsics.first_that_fits(left, right)
+    rig = lens.rectified(K, K_right, left_T_right, se3.inverse(imu_T_left))
+
+    def make(frames, times, twists, **more) -> Drive:
+        fields = tracking.as_fields(frames) | {"pixels": np.concatenate([np.hstack([f.left, f.right]) for f in frames])}
+        drive = Drive(times=times, twists=twists, camera=StereoCamera(K, 1.0, np.eye(4)), **fields, **more)
+        return extrinsics.mounted(drive.replace(history=("tracked from images",)), K_right, left, right)
+    return rig, make
+
+
+def _kitti(path: Path) -> lens.Rig:
+    lines = [line.split(":")[-1].split() for line in path.read_text(encoding="utf-8").splitlines() if line.strip()]
+    try:
+        left, right = (np.array(words, float).reshape(3, 4) for words in lines[:2])
+    except ValueError:
+        raise DriveError("expected KITTI's calib.txt, whose first two lines, P0 and P1, hold 12 numbers each") from None
+    K = left[:, :3]
+    cam_T_imu = se3.inverse(extrinsics.REGULAR_T_OPTICAL)
+    return lens.Rig(lens.Lens(K), lens.Lens(right[:, :3]),
+                    StereoCamera(K, float((left[0, 3] - right[0, 3]) / K[0, 0]), cam_T_imu))
+
+
+def _yaml(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """K (3, 3), distortion (4,) and body_T_cam (4, 4) of EuRoC's sensor.yaml."""
+    with files.errors_name(path):
+        text = path.read_text(encoding="utf-8")
+        found = {key: re.search(rf"^\s*{key}:\s*\[([^\]]*)\]", text, re.MULTILINE)
+                 for key in ("intrinsics", "distortion_coefficients", "data")}
+        if missing := [key for key, match in found.items() if match is None]:
+            raise DriveError(f"{missing[0]}: missing; expected a camera's yaml as EuRoC has it")
+        if "radial" not in text:
+            raise DriveError("distortion_model: expected radial-tangential")
+        focal, distortion, T = (np.array(match[1].split(","), float) for match in found.values() if match)
+        return np.array([[focal[0], 0, focal[2]], [0, focal[1], focal[3]], [0, 0, 1.0]]), distortion, T.reshape(4, 4)
+
+
+def open_imu(path: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Times (T,) s and twists (T, 6): a recording of the course, or a text file of rows t, v (3), omega (3).
+
+    Raises DriveError also for a file of accelerations (EuRoC's imu0): a `Drive` needs velocities.
+    """
+    path = Path(path)
+    with files.errors_name(path):
+        if path.suffix in (".npy", ".npz"):
+            with files.open_fields(path) as fields:
+                times = fields.numbers(fields.key("timestamps", "time_stamps", "times")).ravel().astype(float)
+                if "twists" in fields:
+                    return times, fields.numbers("twists")
+                v, w = (fields.numbers(fields.key(*keys)) for keys in (
+                    ("v_t", "linear_velocity"), ("w_t", "angular_velocity", "rotational_velocity")))
+            return times, np.hstack([one if one.shape == (times.size, 3) else one.T for one in (v, w)])
+        rows, _ = layouts.rows_of_numbers(path)
+        if rows.shape[1] != 7:
+            raise DriveError(f"{rows.shape[1]} numbers a row, expected 7: time, linear velocity, angular velocity")
+        return rows[:, 0] / (1e9 if rows[0, 0] > 1e14 else 1.0), rows[:, 1:]
+
+
+def twists_at(frames: np.ndarray, times: np.ndarray, twists: np.ndarray) -> np.ndarray:
+    """(T, 6): the samples at the images' times (T,), where the IMU has those, else their mean until the next image."""
+    nearest = np.abs(times - frames[:, None]).argmin(axis=1) if len(times) < 1e5 else np.searchsorted(times, frames)
+    nearest = nearest.clip(0, len(times) - 1)
+    spacing = np.median(np.diff(times))
+    if spacing > 0.5 * np.median(np.diff(frames)):
+        if np.abs(times[nearest] - frames).max() > spacing:
+            raise DriveError("the IMU's samples and the images are not of the same time")
+        return twists[nearest]
+    so_far = np.vstack([np.zeros(6), np.cumsum((twists[1:] + twists[:-1]) / 2 * np.diff(times)[:, None], axis=0)])
+    at = np.stack([np.interp(frames, times, column) for column in so_far.T], axis=-1)
+    mean = np.diff(at, axis=0) / np.diff(frames)[:, None]
+    return np.vstack([mean, mean[-1:]])
