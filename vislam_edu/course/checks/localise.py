@@ -98,7 +98,8 @@ def _kind(pairs, tolerance) -> str:
 def wrong_entries(came: np.ndarray, should: np.ndarray, tolerance: float) -> np.ndarray:
     """Where two arrays of one shape differ by more than tolerance times the largest entry."""
     scale = np.abs(should[np.isfinite(should)]).max(initial=0.0) or 1.0
-    return ~(np.abs(came - should) <= tolerance * scale)
+    with np.errstate(invalid="ignore"):  # inf - inf, of a point without disparity
+        return ~(np.abs(came - should) <= tolerance * scale)
 
 
 def _where(pairs, tolerance) -> str:
