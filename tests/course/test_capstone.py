@@ -128,7 +128,7 @@ def test_the_picture_frames_the_entry_in_both_matrices_and_their_difference(caps
     apart = np.asarray(figure.axes[0].images[0].get_array())[:, 20:]  # of this mistake in the cross terms alone
     assert np.abs(apart).max() == 1
     assert not apart[:3, :3].any()
-    assert not apart[3:, 3:].any()
+    assert np.abs(apart[3:, 3:]).max() < 1e-12  # but for rounding
     assert apart[:3, 3:].all()
     assert capstone.compare("filter_predict", predict) is None
 

@@ -39,10 +39,10 @@ def printed(function, *arguments):
 # --- right answers ----------------------------------------------------------------------------------------
 
 
-def test_there_are_exercises_for_notebooks_01_to_13_and_15():
+def test_there_are_exercises_for_notebooks_01_to_13_15_and_16():
     assert len(EXERCISES) >= 20
     assert [exercise.chapter for exercise in EXERCISES.values()] == sorted(e.chapter for e in EXERCISES.values())
-    assert {exercise.chapter for exercise in EXERCISES.values()} == {*range(1, 14), 15}
+    assert {exercise.chapter for exercise in EXERCISES.values()} == {*range(1, 14), 15, 16}
 
 
 @pytest.mark.parametrize("name", EXERCISES)

@@ -103,8 +103,8 @@ def certain(drive: Drive) -> Iterator[Finding]:
         unit, size = next((name, size) for name, size in (("ms", 1e3), ("us", 1e6), ("ns", 1e9))
                           if tau < _LONGEST * size)
         scaled = Cure(f"times read as {unit}", False, lambda drive: drive.replace(times=drive.times / size))
-        yield _finding(f"times in {unit}", tau, "s", f"a step would take {tau:.3g} s: time_stamps are in {unit}", scaled,
-                       f"divide them by {size:.0e}")
+        yield _finding(f"times in {unit}", tau, "s", f"a step would take {tau:.3g} s: time_stamps are in {unit}",
+                       scaled, f"divide them by {size:.0e}")
     resolution = float(np.spacing(np.float32(np.abs(drive.times).max())))
     if resolution > 0.05 * tau and np.array_equal(drive.times, drive.times.astype(np.float32)):
         even = np.linspace(drive.times[0], drive.times[-1], drive.n_frames)

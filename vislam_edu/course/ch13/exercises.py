@@ -66,13 +66,11 @@ def frames(rng):
 # --- predict ----------------------------------------------------------------------------------------------
 
 
-def _predicted(T, P, twist, tau, noise, *, mean=None, F=None, W=None, cross=True):
+def _predicted(T, P, twist, tau, noise, *, mean=None, F=None, W=None):
     step = se3.exp(tau * twist)
     F = se3.adjoint(se3.inverse(step)) if F is None else F
     B = tau * se3.right_jacobian(tau * twist)
     new = ekf_slam.predict_joint(P, F, B @ noise.twist_covariance @ B.T if W is None else W)
-    if not cross:
-        new[:-6, -6:], new[-6:, :-6] = P[:-6, -6:], P[-6:, :-6]
     return T @ step if mean is None else mean, new
 
 
@@ -100,10 +98,9 @@ def filter_predict(world_T_imu, covariance, twist, tau, noise):
     return world_T_imu @ step, P
 
 
-@filter_predict.mistake("cross-covariances not propagated", """Only the pose block was carried along: P_LR becomes P_LR
-F^T, P_RL its transpose.""")
-def _(world_T_imu, covariance, twist, tau, noise):
-    return _predicted(world_T_imu, covariance, twist, tau, noise, cross=False)
+filter_predict.slip("cross-covariances not propagated", """Only the pose block was carried along: P_LR becomes P_LR
+F^T, P_RL its transpose.""", ("P[:n, n:] = covariance[:n, n:] @ F.T\n", "\n"),
+                    ("P[n:, :n] = F @ covariance[n:, :n]", ""))
 
 
 filter_predict.slip("not scaled by tau", "W = tau^2 Q: the twist's variance is not that of one step.",

@@ -40,6 +40,13 @@ def _(g_u, g_v):
     return A, np.linalg.eigvalsh(A)[1]
 
 
+@patch_information.mistake("mean instead of sum", """Each pixel adds information: 49 pixels know more than one. Sum, do
+not average.""")
+def _(g_u, g_v):
+    A, smaller = patch_information.reference(g_u, g_v)
+    return A / g_u.size, smaller / g_u.size
+
+
 def _patches(rng):
     for size in (5, 7, 11):
         g_u, g_v = rng.normal(0, 10, (2, size, size))
@@ -75,6 +82,12 @@ def _(template, seen, g_u, g_v):
     return _step(template, seen, g_u, g_v)[::-1]
 
 
+@lucas_kanade_step.mistake("gradient without the inverse", """sum g (template - seen) says which way is downhill, not
+how far: divide by the information, A step = b.""")
+def _(template, seen, g_u, g_v):
+    return np.array([np.sum(g_u * (template - seen)), np.sum(g_v * (template - seen))])
+
+
 def _matches(rng):
     for n in (6, 20, 50):
         left = rng.uniform(0, 300, (n, 2))
@@ -104,6 +117,11 @@ def _(pixels, tolerance):
 u_left > u_right. A match with a negative disparity lies behind the cameras.""")
 def _(pixels, tolerance):
     return np.abs(pixels[:, 1] - pixels[:, 3]) <= tolerance
+
+
+@row_check.mistake("columns compared", "Rows are v: entries 1 and 3. The columns differ by the disparity, and should.")
+def _(pixels, tolerance):
+    return (np.abs(pixels[:, 0] - pixels[:, 2]) <= tolerance) & (pixels[:, 0] > pixels[:, 2])
 
 
 def _turned(rng):
@@ -140,3 +158,9 @@ def _(uv, K, rectified_R_cam, K_new):
 number is no longer 1, and a pixel is what remains after dividing by it.""")
 def _(uv, K, rectified_R_cam, K_new):
     return (K_new @ rectified_R_cam @ np.linalg.solve(K, np.append(uv, 1.0)))[:2]
+
+
+@rectify_point.mistake("one K for both cameras", """K takes the old pixel to a ray, K_new the turned ray to
+the new pixel.""")
+def _(uv, K, rectified_R_cam, K_new):
+    return _rectified(uv, K, rectified_R_cam, K)

@@ -91,8 +91,8 @@ def project_track(H_x, H_f, residual):
     """What one track says about the clones once its landmark is projected out.
 
     H_x : (m, d). H_f : (m, 3), of rank 3. residual : (m,). With N (m, m-3) an orthonormal basis of the null space of
-    H_f^T, H_o = N^T H_x and r_o = N^T r: returns A = H_o^T H_o (d, d) and b = H_o^T r_o (d,), which are the same for
-    every such N.
+    H_f^T, H_o = N^T H_x and r_o = N^T r.
+    Returns A = H_o^T H_o (d, d) and b = H_o^T r_o (d,), which are the same for every such N.
     """
     N = qr(H_f)[0][:, 3:]
     H = N.T @ H_x

@@ -201,7 +201,7 @@ def _verdicts(record) -> dict[str, Result]:
             continue
         if "score" in entry:
             scores[name] = _score(entry["score"])
-        elif status in (RIGHT, WRONG, NOT_WRITTEN):
+        if status in (RIGHT, WRONG, NOT_WRITTEN):
             results[name] = Result(name, status, shown(entry.get("mistake", "")), _lines(entry.get("text", "")))
     for name, score in scores.items():
         results[name] = replace(results.get(name) or Result(name, NOT_WRITTEN), score=score)
