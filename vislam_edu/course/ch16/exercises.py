@@ -128,11 +128,12 @@ def _two_estimates(rng):
     "The formula is that of chapter 05, J R^T and -J [I, -s^]. Which R and which s?",
     "Both from the first estimates: R of first_pose, s = first_pose^-1 first_landmark."])
 def first_estimates_jacobian(J, first_pose, first_landmark, pose, landmark):
-    """H of one landmark's pixels with first-estimates Jacobians, (3, 9): [landmark, position, rotation].
+    """H of one landmark's pixels with first-estimates Jacobians.
 
     J : (3, 3), derivative of the pixels by the point in the IMU frame (already at the first estimates). first_pose,
     pose : (4, 4), world_T_imu when this pose was first estimated, and now. first_landmark, landmark : (3,), m, world,
     when it was born, and now. The error is a right perturbation, m_true = m + delta. You may use `se3`.
+    Returns (3, 9), columns [landmark, position, rotation].
     """
     s = se3.transform(se3.inverse(first_pose), first_landmark)
     return np.hstack([J @ first_pose[:3, :3].T, -J, J @ se3.so3_hat(s)])
