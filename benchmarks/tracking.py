@@ -2,8 +2,9 @@
 
     python -m pip install opencv-python-headless && python benchmarks/tracking.py FOLDER
 
-FOLDER holds images 000000.png ..., calib.txt (P0 row by row) and poses.txt (world_T_cam, 3 x 4 a row), as KITTI
-has them. Prints the distance to the epipolar line (median, 90 %), the share of corners found, and CPU seconds beside OpenCV's.
+FOLDER holds images 000000.png ..., calib.txt (P0 row by row) and poses.txt (world_T_cam, 3 x 4 a row), as KITTI has
+them. Prints the distance to the epipolar line (median, 90 %), the share of corners found, and CPU time beside
+OpenCV's, which may use one thread here.
 """
 
 import argparse
