@@ -14,7 +14,9 @@ def add_arguments(parser):
     parser.add_argument("--seeds", type=whole(1, 100_000), default=50, help="number of drives (default: %(default)s)")
     parser.add_argument("--out", type=Path, required=True, help="directory for summary.json and a file "
                         "per drive; a study that was interrupted goes on from there")
-    parser.add_argument("--frames", type=whole(2, 100_000), default=500, help="frames per drive (default: %(default)s)")
+    parser.add_argument("--frames", type=whole(2, 100_000), help="frames per drive (default: 500, or a regime's own)")
+    parser.add_argument("--regime", metavar="NAME", help="filters and batch where cameras, rates, noise or distances "
+                        "are others, see studies.regimes (far, robot, slow, ...), or all of them")
     parser.add_argument("--sigma-v", type=number(0, 1e3), default=noise.sigma_v, help="m/s (default: %(default)s)")
     parser.add_argument("--sigma-omega", type=number(0, 1e2), default=noise.sigma_omega,
                         help="rad/s (default: %(default)s)")
@@ -24,10 +26,13 @@ def add_arguments(parser):
 
 
 def run(arguments) -> int:
-    """Run the study on the default simulated drive, print its table, write its summary; returns the exit status.
+    """Run the study on the default simulated drive or on regimes, print its table, write its summary.
 
-    Raises OptionError when no such drive can be made, or when the directory holds another study.
+    Returns the exit status. Raises OptionError when no such drive can be made, for an unknown regime, or when the
+    directory holds another study.
     """
+    if arguments.regime:
+        return run_regimes(arguments)
     import joblib
 
     from .. import simulate
@@ -35,7 +40,7 @@ def run(arguments) -> int:
     from ..studies import consistency
 
     sensors = {key: getattr(arguments, key) for key in ("sigma_v", "sigma_omega", "sigma_px")}
-    make_drive = functools.partial(simulate.street_loop, frames=arguments.frames, **sensors)
+    make_drive = functools.partial(simulate.street_loop, frames=arguments.frames or 500, **sensors)
     try:
         with joblib.parallel_config(n_jobs=arguments.workers):
             studies = consistency.monte_carlo(make_drive, consistency.standard_filters(Noise(**sensors)),
@@ -46,4 +51,32 @@ def run(arguments) -> int:
     with replacing(arguments.out / "summary.json") as file:
         file.write((json.dumps(figures, indent=2) + "\n").encode())
     print(consistency.format_summary(figures))
+    return 0
+
+
+def run_regimes(arguments) -> int:
+    """Run the regimes asked for and print a line for each filter; the summary is written anew after every regime.
+
+    A regime has its own noise: the options of noise belong to the default drive.
+    """
+    import joblib
+
+    from ..recordings.files import replacing
+    from ..studies import regimes
+
+    names = list(regimes.REGIMES) if arguments.regime == "all" else [arguments.regime]
+    if unknown := set(names) - set(regimes.REGIMES):
+        raise OptionError(f"consistency --regime: {unknown.pop()!r} is not one of all, {', '.join(regimes.REGIMES)}")
+    options = {"frames": arguments.frames} if arguments.frames else {}
+    found: dict[str, dict] = {}
+    arguments.out.mkdir(parents=True, exist_ok=True)
+    for name in names:
+        try:
+            with joblib.parallel_config(n_jobs=arguments.workers):
+                found[name] = regimes.study(name, range(arguments.seeds), **options)
+        except ValueError as error:
+            raise OptionError(f"consistency --regime {name}: {error}") from None
+        with replacing(arguments.out / "summary.json") as file:
+            file.write((json.dumps({"regimes": found}, indent=2) + "\n").encode())
+        print(regimes.format_study(name, found[name]))
     return 0

@@ -135,6 +135,7 @@ def perfect_street_loop(
     mean_life=50.0,
     redetect_every=6,
     depth=(5.0, 120.0),
+    nearest=NEAREST,
     lane_change=0.0,
     returning=0.0,
     camera=None,
@@ -154,6 +155,7 @@ def perfect_street_loop(
         shortens it.
     redetect_every : mean number of frames between two detections; only there are landmarks born.
     depth : nearest and farthest depth at which a landmark is born, m.
+    nearest : m, a tracker loses what comes closer.
     lane_change : m to the left from the second lap on. returning : share of the candidates at a detection that are
         places seen before, where there are any in view. Such a place gets a new number and the same row of
         `truth_landmarks`.
@@ -181,7 +183,7 @@ def perfect_street_loop(
     loop_length = max(speed * times[-1], SHORTEST_LOOP) if loop_length is None else loop_length
     world_T_imu = streets.drive_along(_stream(seed, _ROAD), times, speed, loop_length, hills, lane_change)
     return along(world_T_imu, times, seed, visible=visible, life=life, mean_life=mean_life,
-                 redetect_every=redetect_every, depth=depth, returning=returning, camera=camera,
+                 redetect_every=redetect_every, depth=depth, nearest=nearest, returning=returning, camera=camera,
                  image_size=image_size, name=name)
 
 
@@ -189,8 +191,7 @@ def along(world_T_imu, times, seed=0, *, visible=60, life=(5, 100), mean_life=50
           depth=(5.0, 120.0), nearest=NEAREST, returning=0.0, camera=None, image_size=IMAGE_SIZE, name="path"):
     """A noise-free `Drive` along any path: poses (T, 4, 4) at times (T,), s.
 
-    nearest : m, a tracker loses what comes closer. For the other arguments see `perfect_street_loop`. The world of
-    the ground truth is that of the poses.
+    For the other arguments see `perfect_street_loop`. The world of the ground truth is that of the poses.
     """
     camera = kitti_camera() if camera is None else camera
     step = se3.log(se3.inverse(world_T_imu[:-1]) @ world_T_imu[1:]) / np.diff(times)[:, None]

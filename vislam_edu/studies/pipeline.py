@@ -96,18 +96,23 @@ class Result:
 
     @property
     def warnings(self) -> list[str]:
-        """What speaks against the joint filter's result: its gate, few tracks, or that it claims to know less than the
-        IMU alone would.
-        """
-        found = self.slam.warnings(self.gate)
-        if has_few_tracks(self.drive):
-            found.append(f"{self.drive.visible.mean():.0f} tracks in view on average where a filter of this kind "
-                         f"needs {FEW_TRACKS}: dead reckoning is the better path")
-        ends = [np.sqrt(np.trace(t.covariance[-1, :3, :3])) for t in (self.slam.trajectory, self.dead_reckoning)]
-        if ends[0] > ends[1]:
-            found.append(f"by its own covariance the filter ends uncertain by {ends[0]:.2g} m, dead reckoning by "
-                         f"{ends[1]:.2g} m: the cameras' part does not help here")
-        return found
+        """What speaks against the joint filter's result, see `doubts`."""
+        return doubts(self.drive, self.slam, self.dead_reckoning, self.gate)
+
+
+def doubts(drive, slam, dead_reckoning, gate) -> list[str]:
+    """What speaks against a joint filter's result, in words: its gate, few tracks, or that it claims to know less than
+    the IMU alone would. slam : Slam, dead_reckoning : Trajectory, both of the drive. gate : of the filter.
+    """
+    found = slam.warnings(gate)
+    if has_few_tracks(drive):
+        found.append(f"{drive.visible.mean():.0f} tracks in view on average where a filter of this kind "
+                     f"needs {FEW_TRACKS}: dead reckoning is the better path")
+    ends = [np.sqrt(np.trace(t.covariance[-1, :3, :3])) for t in (slam.trajectory, dead_reckoning)]
+    if ends[0] > ends[1]:
+        found.append(f"by its own covariance the filter ends uncertain by {ends[0]:.2g} m, dead reckoning by "
+                     f"{ends[1]:.2g} m: the cameras' part does not help here")
+    return found
 
 
 @dataclass(frozen=True, eq=False)
