@@ -24,7 +24,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from itertools import accumulate
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -86,8 +85,7 @@ class Estimate:
         epsilon = epsilon.reshape(-1, 6)
         twist, by_this, by_next = path_twists(self.world_T_imu, np.ones(len(epsilon) - 1))
         twist = twist + np.matvec(by_this, epsilon[:-1]) + np.matvec(by_next, epsilon[1:])
-        steps = [self.world_T_imu[0] @ se3.exp(epsilon[0]), *se3.exp(twist)]
-        poses = np.array(list(accumulate(steps, np.matmul)))
+        poses = se3.chain(self.world_T_imu[0] @ se3.exp(epsilon[0]), se3.exp(twist))
 
         s = se3.transform(se3.inverse(self.world_T_imu[anchor]), self.landmarks)
         moved = np.vecmat(landmarks.reshape(-1, 3), self.world_T_imu[anchor, :3, :3])

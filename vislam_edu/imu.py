@@ -26,11 +26,10 @@ kinematics for the error-state Kalman filter, 2017, chapter 5; the IMU noise mod
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from itertools import accumulate
 
 import numpy as np
 
-from .se3 import so3_exp, so3_hat, so3_left_jacobian_inverse, so3_log, so3_right_jacobian
+from .se3 import chain, so3_exp, so3_hat, so3_left_jacobian_inverse, so3_log, so3_right_jacobian
 
 GRAVITY = np.array([0.0, 0.0, -9.81])  # m/s^2, world frame
 GRAVITY.setflags(write=False)
@@ -185,7 +184,7 @@ def preintegrate(gyro: np.ndarray, accelerometer: np.ndarray, taus: np.ndarray, 
     """
     omega, force = gyro - gyro_bias, accelerometer - accelerometer_bias
     steps = so3_exp(taus[:, None] * omega)
-    rotations = np.array([*accumulate(steps, np.matmul, initial=np.eye(3))])
+    rotations = chain(np.eye(3), steps)
     F, N = jacobians(rotations[:-1], omega, force, taus)
     changes = taus[:, None] * np.matvec(rotations[:-1] @ so3_exp(taus[:, None] * omega / 2), force)
     velocities = np.concatenate([np.zeros((1, 3)), np.cumsum(changes, axis=0)])

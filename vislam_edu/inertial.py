@@ -206,9 +206,9 @@ def still_until(samples: ImuSamples, start: float = -np.inf, window: float = 0.2
 def initial(samples: ImuSamples, start: float, least: float = 0.3) -> tuple[State, np.ndarray]:
     """State and covariance (15, 15), order of `imu`, at time `start`, s, from a stand-still of `least` s.
 
-    Where there is none the mean of the accelerometer over that time is still the best guess of where up is, but it
-    holds the car's own acceleration: 1 m/s^2 is a tilt of 0.1 rad. The biases are then zero and the velocity unknown,
-    each with its full uncertainty, and the cameras have to find them.
+    Without a stand-still, up is guessed from the mean of the accelerometer over that time. The car's own acceleration
+    is a part of that mean: 1 m/s^2 tilts the guess by 0.1 rad. Biases and velocity are then zero with a large
+    uncertainty, and the cameras have to find them.
     """
     end = still_until(samples, start)
     still = end - start >= least

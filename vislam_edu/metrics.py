@@ -225,7 +225,7 @@ def average_nis(steps: Iterable[Step]) -> float:
 
 
 def mean_nis(nis: np.ndarray) -> float:
-    """Mean of those NIS (N,) that are finite, see `average_nis`; NaN when there is none."""
+    """Mean of the finite numbers among nis (N,), see `average_nis`. NaN when none is finite."""
     finite = nis[np.isfinite(nis)]
     return float(finite.mean()) if finite.size else np.nan
 

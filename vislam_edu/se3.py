@@ -18,6 +18,8 @@ operators).
 True
 """
 
+from collections.abc import Iterable
+from itertools import accumulate
 from math import factorial
 
 import numpy as np
@@ -168,6 +170,14 @@ def inverse(T: ArrayLike) -> np.ndarray:
     T = checked(T, (4, 4), "T")
     Rt = np.swapaxes(T[..., :3, :3], -1, -2)
     return pose(Rt, -np.matvec(Rt, T[..., :3, 3]))
+
+
+def chain(start: np.ndarray, steps: Iterable[np.ndarray]) -> np.ndarray:
+    """Poses (n+1, 4, 4) from `start` (4, 4) on, each the one before times the next of the steps (n, 4, 4).
+
+    Rotations (3, 3) are joined alike.
+    """
+    return np.array([*accumulate(steps, np.matmul, initial=start)])
 
 
 def transform(T: ArrayLike, points: ArrayLike) -> np.ndarray:

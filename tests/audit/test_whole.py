@@ -9,16 +9,15 @@ import pytest
 from whole import few
 
 from vislam_edu import metrics, odometry, recordings, robust, se3, simulate
-from vislam_edu.audit import audit, imu_alignment, innovations, visual_odometry, whole
+from vislam_edu.audit import audit, imu_alignment, innovations, visual_odometry
 from vislam_edu.cli import main
 from vislam_edu.error_state import RightInvariant
 from vislam_edu.noise import Noise
+from vislam_edu.recordings.extrinsics import REGULAR_T_OPTICAL
 from vislam_edu.recordings.features import drive_from_features
 from vislam_edu.simulate import faults
 from vislam_edu.stereo import StereoCamera
 from vislam_edu.studies import pipeline
-
-REGULAR_T_OPTICAL = se3.pose(whole.OPTICAL_R_REGULAR.T, np.zeros(3))
 
 
 @cache
@@ -156,7 +155,7 @@ def robot(seed, frames=400):
     """A small robot: a street loop of a car, everything five times smaller, at 30 Hz; pixels and turns are the same."""
     rng = np.random.default_rng((77, seed))
     f = rng.uniform(377, 430)
-    R = whole.OPTICAL_R_REGULAR
+    R = REGULAR_T_OPTICAL[:3, :3].T
     large = StereoCamera(np.array([[f, 0, 320], [0, f, 240], [0, 0, 1]]), 0.475,
                          se3.pose(R, -R @ np.array([1.0, 0, 0.5])))
     drive = simulate.perfect_street_loop(seed, frames=frames, tau=1 / 30, speed=7, visible=int(rng.integers(30, 80)),

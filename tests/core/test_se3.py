@@ -337,3 +337,12 @@ ARGUMENTS = {"so3_hat": "omega", "so3_vee": "matrix", "so3_exp": "phi", "so3_log
 def test_a_wrong_shape_is_refused_by_the_name_of_the_argument(name, argument):
     with pytest.raises(ValueError, match=rf"^{argument}\b"):
         getattr(se3, name)(np.zeros(5))
+
+
+def test_a_chain_joins_steps_one_after_the_other():
+    start, steps = se3.exp([1.0, 2, 3, 0.3, -0.2, 0.1]), se3.exp(np.arange(18.0).reshape(3, 6) / 10)
+    path = se3.chain(start, steps)
+    assert path.shape == (4, 4, 4)
+    assert np.allclose(path[0], start)
+    assert np.allclose(path[-1], start @ steps[0] @ steps[1] @ steps[2])
+    assert np.allclose(se3.inverse(path[:-1]) @ path[1:], steps)

@@ -23,10 +23,8 @@ def thin(drive: Drive, every: int) -> Drive:
     """Every so many frames of a drive, its IMU samples the constant twists that lead from one to the next."""
     if every == 1:
         return drive
-    poses = [np.eye(4)]
-    for step in se3.exp(drive.step_twists * drive.taus[:, None]):
-        poses.append(poses[-1] @ step)
-    kept, times, seen = np.array(poses)[::every], drive.times[::every], drive.frame % every == 0
+    poses = se3.chain(np.eye(4), se3.exp(drive.step_twists * drive.taus[:, None]))
+    kept, times, seen = poses[::every], drive.times[::every], drive.frame % every == 0
     twists = se3.log(se3.inverse(kept[:-1]) @ kept[1:]) / np.diff(times)[:, None]
     return Drive(times=times, twists=np.vstack([twists, twists[-1:]]), camera=drive.camera, imu_sample="k",
                  frame_start=np.r_[0, np.cumsum(drive.visible[::every])], landmark=drive.landmark[seen],

@@ -13,6 +13,7 @@ from scipy.optimize import minimize, minimize_scalar
 
 from .. import se3
 from ..drive import Drive
+from ..recordings.extrinsics import REGULAR_T_OPTICAL
 from .cures import Cure
 from .report import Finding, Report
 
@@ -23,15 +24,14 @@ _MAX_STRIDE, _MOST_PAIRS = 10, 5000  # frames, and pairs of observations that ar
 _LONGEST = 5.0  # s, a step; more is another unit
 _TRIED = 3  # readings that are audited
 _NICE = np.array([1 / 4, 1 / 3, 1 / 2, 2 / 3, 3 / 4, 4 / 3, 3 / 2, 2, 3, 4])  # factors of image sizes
-OPTICAL_R_REGULAR = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])  # regular: x forward, y left, z up
 
 
-def unexplained(drive: Drive) -> float:
+def unexplained(drive: Drive, path: np.ndarray | None = None) -> float:
     """The share of the tracks' motion in the images that the IMU does not explain, seen through the calibration.
 
     Median error of the IMU's prediction over a few frames, over the median motion: near 0 when all is right, near 1 or
     above when something is not, infinite when most disparities are not positive. It has no unit, so that readings of
-    different pixels can be compared.
+    different pixels can be compared. path : (T, 4, 4), what `imu_path` makes of the drive, where it is known already.
     """
     lengths = drive.last_seen - drive.first_seen + 1
     stride = int(np.clip(np.median(lengths) // 3, 1, _MAX_STRIDE)) if lengths.size else 1
@@ -47,10 +47,7 @@ def unexplained(drive: Drive) -> float:
                      for rows in (before, after))
     if len(before) < 30 or (first[:, 2] > 0).mean() < 0.5:
         return np.inf
-    world_T_cam = [np.eye(4)]
-    for step in se3.exp(drive.step_twists * drive.taus[:, None]):
-        world_T_cam.append(world_T_cam[-1] @ step)
-    world_T_cam = np.array(world_T_cam) @ drive.camera.imu_T_cam
+    world_T_cam = (imu_path(drive) if path is None else path) @ drive.camera.imu_T_cam
     after_T_before = se3.inverse(world_T_cam[drive.frame[after]]) @ world_T_cam[drive.frame[before]]
     q = np.matvec(after_T_before, np.column_stack([first[:, :2], np.ones(len(first)),
                                                    first[:, 2] * K[0, 0] / fb]))
@@ -58,6 +55,11 @@ def unexplained(drive: Drive) -> float:
     predicted = np.column_stack([q[:, 0], q[:, 1], q[:, 3] * drive.camera.baseline]) / depth[:, None]
     error, flow = (np.linalg.norm(second - start, axis=1) for start in (predicted, first))
     return float(np.median(error) / max(np.median(flow), 1e-12))
+
+
+def imu_path(drive: Drive) -> np.ndarray:
+    """(T, 4, 4): the IMU integrated, from the identity on."""
+    return se3.chain(np.eye(4), se3.exp(drive.step_twists * drive.taus[:, None]))
 
 
 def explained(report: Report, judge: Callable[[Drive], Report]) -> Report:
@@ -137,7 +139,7 @@ def candidates(drive: Drive) -> Iterator[tuple[str, Cure, str]]:
     yield "km/h", Cure("linear velocity read as km/h", False, lambda drive: drive.replace(
         twists=drive.twists * np.repeat([1 / 3.6, 1], 3))), \
         "linear_velocity is in km/h: divide it by 3.6"
-    optical = se3.pose(OPTICAL_R_REGULAR, np.zeros(3))
+    optical = se3.inverse(REGULAR_T_OPTICAL)
     for name, change in (("the inverse", se3.inverse),
                          ("of a camera frame with x forward, z up", lambda T: optical @ T),
                          ("the inverse, of a camera frame with x forward, z up", lambda T: optical @ se3.inverse(T))):
@@ -150,9 +152,10 @@ def _fitted(drive):
     """K by a factor, its focal lengths by a factor, and its centre: what explains the motion best."""
     if not len(drive.pixels):
         return
+    path = imu_path(drive)  # no K changes it
     one_matrix, focal_only = np.array([[1, 0, 1], [0, 1, 1], [0, 0, 0]]), np.diag([1, 1, 0])
     for fault, scaled in (("images of another size", one_matrix), ("focal length", focal_only)):
-        s = _best_factor(drive, scaled)
+        s = _best_factor(drive, scaled, path)
         nice = _NICE[np.argmin(np.abs(np.log(_NICE / s)))]
         if scaled is one_matrix and abs(nice / s - 1) < 0.04:
             s = float(nice)
@@ -166,8 +169,8 @@ def _fitted(drive):
     def moved(d):
         return _with_K(lambda K: K + np.outer([*d, 0], [0, 0, 1]), f"centre of K moved by {np.round(d, 1).tolist()} px")
 
-    shift = minimize(lambda shift: min(unexplained(moved(shift)(drive)), 1e6), middle - centre, method="Nelder-Mead",
-                     options={"maxfev": 60, "xatol": 1.0}).x
+    shift = minimize(lambda shift: min(unexplained(moved(shift)(drive), path), 1e6), middle - centre,
+                     method="Nelder-Mead", options={"maxfev": 60, "xatol": 1.0}).x
     # Turned extrinsics look much the same; but then the centre of K is the centre of the images
     nearer = np.linalg.norm(centre + shift - middle) < 0.7 * np.linalg.norm(centre - middle)
     if np.linalg.norm(shift) > _MIN_SHIFT * drive.camera.K[0, 0] and nearer:
@@ -175,10 +178,10 @@ def _fitted(drive):
         yield "centre of K", moved(shift), f"the centre of K is wrong: [{u:.0f}, {v:.0f}] px fits"
 
 
-def _best_factor(drive, scaled):
+def _best_factor(drive, scaled, path):
     """By what the entries `scaled` (3, 3) of K are best multiplied."""
     def score(log_s):
-        return unexplained(_with_K(lambda K: K * np.exp(log_s * scaled), "")(drive))
+        return unexplained(_with_K(lambda K: K * np.exp(log_s * scaled), "")(drive), path)
 
     start = min(np.log(_NICE), key=score)
     best = minimize_scalar(score, bounds=(start - 0.4, start + 0.4), method="bounded", options={"xatol": 2e-3})

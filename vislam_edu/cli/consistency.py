@@ -36,7 +36,6 @@ def run(arguments) -> int:
     import joblib
 
     from .. import simulate
-    from ..recordings.files import replacing
     from ..studies import consistency
 
     sensors = {key: getattr(arguments, key) for key in ("sigma_v", "sigma_omega", "sigma_px")}
@@ -48,8 +47,7 @@ def run(arguments) -> int:
     except ValueError as error:
         raise OptionError(f"consistency: {error}") from None
     figures = consistency.summary(studies) | sensors
-    with replacing(arguments.out / "summary.json") as file:
-        file.write((json.dumps(figures, indent=2) + "\n").encode())
+    _write(arguments.out, figures)
     print(consistency.format_summary(figures))
     return 0
 
@@ -61,7 +59,6 @@ def run_regimes(arguments) -> int:
     """
     import joblib
 
-    from ..recordings.files import replacing
     from ..studies import regimes
 
     names = list(regimes.REGIMES) if arguments.regime == "all" else [arguments.regime]
@@ -76,7 +73,13 @@ def run_regimes(arguments) -> int:
                 found[name] = regimes.study(name, range(arguments.seeds), **options)
         except ValueError as error:
             raise OptionError(f"consistency --regime {name}: {error}") from None
-        with replacing(arguments.out / "summary.json") as file:
-            file.write((json.dumps({"regimes": found}, indent=2) + "\n").encode())
+        _write(arguments.out, {"regimes": found})
         print(regimes.format_study(name, found[name]))
     return 0
+
+
+def _write(folder, summary):
+    from ..recordings.files import replacing
+
+    with replacing(folder / "summary.json") as file:
+        file.write((json.dumps(summary, indent=2) + "\n").encode())

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .. import se3
+from .. import lens, se3
 from ..drive import Drive, DriveError
 from ..stereo import StereoCamera
 
@@ -36,16 +36,11 @@ def rectification(K_left: np.ndarray, K_right: np.ndarray, left_T_right: np.ndar
 
     K_left, K_right (3, 3) px; left_T_right (4, 4). Returns the rotation left_R_rectified (3, 3) and the homographies
     (2, 3, 3) that take [u, v, 1] of the left and of the right image to those of a pair with K_left and the baseline
-    |p|. The new x axis runs through both centres, the new z axis is the mean of both, made orthogonal to it.
-    Source: Fusiello, Trucco, Verri, A compact algorithm for rectification of stereo pairs, 2000.
+    |p|; the cameras look as `lens.parallel` says.
     """
-    R, p = left_T_right[:3, :3], left_T_right[:3, 3]
-    x = p / np.linalg.norm(p)
-    y = np.cross(R[:, 2] + [0, 0, 1], x)
-    y /= np.linalg.norm(y)
-    left_R_rectified = np.stack([x, y, np.cross(x, y)], axis=-1)
-    return left_R_rectified, np.stack([K_left @ left_R_rectified.T @ np.linalg.inv(K_left),
-                                       K_left @ left_R_rectified.T @ R @ np.linalg.inv(K_right)])
+    rectified_R_left = lens.parallel(left_T_right)
+    return rectified_R_left.T, np.stack([K_left @ rectified_R_left @ np.linalg.inv(K_left),
+                                         K_left @ rectified_R_left @ left_T_right[:3, :3] @ np.linalg.inv(K_right)])
 
 
 def warped(pixels: np.ndarray, homographies: np.ndarray) -> np.ndarray:
@@ -110,9 +105,7 @@ def prediction_error(drive: Drive) -> tuple[float, float]:
         (was, before), (now, after) = drive.observed(k), drive.observed(stop)
         _, i, j = np.intersect1d(was, now, assume_unique=True, return_indices=True)
         points, seen = camera.triangulate(before[i])
-        imu_T_imu = np.eye(4)
-        for step in twists[k:stop]:
-            imu_T_imu = imu_T_imu @ step
+        imu_T_imu = se3.chain(np.eye(4), twists[k:stop])[-1]
         predicted, ahead = camera.project(se3.transform(camera.cam_T_imu @ se3.inverse(imu_T_imu) @ camera.imu_T_cam,
                                                         points))
         moved.append(np.where(ahead, np.linalg.norm(predicted - after[j], axis=-1), np.inf)[seen])

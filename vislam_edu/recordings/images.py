@@ -120,8 +120,6 @@ def open_calibration(paths: Sequence[Path]) -> tuple[lens.Rig, Callable[..., Dri
     paths : two of EuRoC's yaml files, left and right; KITTI's calib.txt, whose IMU is then taken to sit in the camera
     (x forward, y left, z up); or a recording of the course.
     """
-    from .. import tracking
-
     path = Path(paths[0])
     with files.errors_name(path):
         if len(paths) == 2:
@@ -133,11 +131,17 @@ def open_calibration(paths: Sequence[Path]) -> tuple[lens.Rig, Callable[..., Dri
             said = "tracked from images; the IMU is taken to sit in the left camera, x forward, y left, z up"
         else:
             return _course_calibration(path)
+    return rig, _maker(rig, said)
+
+
+def _maker(rig: lens.Rig, said: str) -> Callable[..., Drive]:
+    """A function that makes the `Drive` of frames tracked with the rig. said : what its history says."""
+    from .. import tracking
 
     def make(frames, times, twists, **fields) -> Drive:
         return Drive(times=times, twists=twists, camera=rig.camera, history=(said,), **tracking.as_fields(frames),
                      **fields)
-    return rig, make
+    return make
 
 
 def _course_calibration(path: Path) -> tuple[lens.Rig, Callable[..., Drive]]:
@@ -154,9 +158,7 @@ def _course_calibration(path: Path) -> tuple[lens.Rig, Callable[..., Drive]]:
             K, K_right, left, right = (fields.numbers(key) for key in ("K_l", "K_r", "extL_T_imu", "extR_T_imu"))
     if K_right is None:
         rig = lens.Rig(lens.Lens(camera.K), lens.Lens(camera.K), camera)
-        return rig, lambda frames, times, twists, **more: Drive(
-            times=times, twists=twists, camera=camera, history=("tracked from images",), **tracking.as_fields(frames),
-            **more)
+        return rig, _maker(rig, "tracked from images")
     imu_T_left, left_T_right = extrinsics.first_that_fits(left, right)
     rig = lens.rectified(K, K_right, left_T_right, se3.inverse(imu_T_left))
 

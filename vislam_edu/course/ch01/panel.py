@@ -63,10 +63,7 @@ class PlanarNoise:
 def euler(twist, duration, steps):
     """(steps + 1, 4, 4): dT/dt = T twist^ by Euler's method, T + T tau twist^, which leaves SE(3)."""
     one = np.eye(4) + duration / steps * se3.hat(twist)
-    path = [np.eye(4)]
-    for _ in range(steps):
-        path.append(path[-1] @ one)
-    return np.array(path)
+    return se3.chain(np.eye(4), [one] * steps)
 
 
 def screw_axis(twist):

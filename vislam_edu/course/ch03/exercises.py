@@ -147,10 +147,6 @@ def landmark_jacobian(camera, world_T_imu, landmark):
     return J @ camera.cam_T_imu[:3, :3] @ R.T
 
 
-def _landmark_jacobian(camera, q, rotation):
-    return camera.projection_jacobian(q)[:, :3] @ rotation
-
-
 landmark_jacobian.slip("extrinsics forgotten", """Between the IMU and the camera there is a rotation too: cam_T_imu
 belongs between K_s dpi/dq and R^T.""", ("J @ camera.cam_T_imu[:3, :3]", "J"))
 

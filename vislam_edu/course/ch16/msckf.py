@@ -13,8 +13,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve, qr
 
-from ... import se3
-from ...error_state import RightPerturbation, WorldPoints
+from ... import kalman, se3
+from ...error_state import RightPerturbation
 from ...stereo import ROWS, StereoCamera
 
 
@@ -49,11 +49,7 @@ def update(covariance: np.ndarray, H_x: np.ndarray, H_f: np.ndarray, residual: n
     residual : (m,), each of standard deviation sigma, one unit for all: divide rows that differ by theirs first.
     """
     N = null_space(H_f)
-    H, r = N.T @ H_x, N.T @ residual
-    HP = H @ covariance
-    K = np.linalg.solve(HP @ H.T + sigma**2 * np.eye(len(r)), HP).T
-    P = covariance - K @ HP
-    return K @ r, (P + P.T) / 2
+    return kalman.update(covariance, N.T @ H_x, sigma**2 * np.eye(N.shape[1]), N.T @ residual)
 
 
 def joint_update(covariance: np.ndarray, H_x: np.ndarray, H_f: np.ndarray, residual: np.ndarray,
@@ -70,7 +66,7 @@ def joint_update(covariance: np.ndarray, H_x: np.ndarray, H_f: np.ndarray, resid
     return cho_solve(factor, g), cho_solve(factor, np.eye(len(S)))
 
 
-class FirstEstimates(WorldPoints):
+class FirstEstimates(RightPerturbation):
     """The report's error with first-estimates Jacobians: every derivative is taken where its variable was first known.
 
     A pose is linearised at its prediction, a landmark where it was born, in F and in H alike, whatever has been learnt
@@ -83,7 +79,7 @@ class FirstEstimates(WorldPoints):
     point_shape = (2, 3)
 
     def __init__(self) -> None:
-        self.plain, self.predicted = RightPerturbation(), np.eye(4)
+        self.predicted = np.eye(4)
 
     def pose_transition(self, after: np.ndarray, increment: np.ndarray,
                         body_noise: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -91,19 +87,6 @@ class FirstEstimates(WorldPoints):
         F = se3.adjoint(se3.inverse(after) @ self.predicted)
         self.predicted = after
         return F, body_noise
-
-    def landmark_transition(self, points: np.ndarray, B: np.ndarray) -> np.ndarray:
-        """Zeros, as in the report."""
-        return np.zeros((len(points), 3, B.shape[1]))
-
-    def jacobians(self, world_T_imu: np.ndarray, landmarks: np.ndarray,
-                  J: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Those of `RightPerturbation`, at the first estimates."""
-        return self.plain.jacobians(world_T_imu, landmarks, J)
-
-    def birth(self, world_T_imu: np.ndarray, points_imu: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """As in the report."""
-        return self.plain.birth(world_T_imu, points_imu)
 
     def measure(self, camera: StereoCamera, world_T_imu: np.ndarray,
                 points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -124,22 +107,10 @@ class FirstEstimates(WorldPoints):
     def retract(self, world_T_imu: np.ndarray, points: np.ndarray,
                 delta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The estimates move, the first ones stay."""
-        pose, moved = self.plain.retract(world_T_imu, points[:, 0], delta)
+        pose, moved = super().retract(world_T_imu, points[:, 0], delta)
         return pose, np.stack([moved, points[:, 1]], axis=1)
-
-    def pose_difference(self, true_world_T_imu: np.ndarray, world_T_imu: np.ndarray) -> np.ndarray:
-        """As in the report."""
-        return self.plain.pose_difference(true_world_T_imu, world_T_imu)
 
     def landmark_difference(self, true_world_T_imu: np.ndarray, world_T_imu: np.ndarray, true_landmarks: np.ndarray,
                             points: np.ndarray) -> np.ndarray:
         """True minus estimated position."""
         return true_landmarks - points[:, 0]
-
-    def world_landmark(self, points: np.ndarray) -> np.ndarray:
-        """Zeros."""
-        return np.zeros((len(points), 3, 6))
-
-    def world_pose(self, world_T_imu: np.ndarray) -> np.ndarray:
-        """As in the report."""
-        return self.plain.world_pose(world_T_imu)
