@@ -11,7 +11,8 @@ def correction_errors(changes, corrected, ignored):
     figure, axes = drawing.new_figure(2.8)
     axes.loglog(changes, ignored, "--", color=style.COLOURS["report"], label="change ignored")
     axes.loglog(changes, corrected, color=style.COLOURS["invariant"], label="corrected to first order")
-    axes.set(xlabel="change of the gyro's bias (rad/s)", ylabel="error of the position (m)")
+    axes.set(xlabel="change of the gyro's bias (rad/s)", ylabel="error of the position (m)",
+             yticks=[1e-6, 1e-4, 1e-2, 1])
     order = np.polyfit(np.log(changes[:5]), np.log(corrected[:5]), 1)[0]
     return drawing.finish(figure, f"The error of the correction grows with the power {order:.1f} of the change")
 
@@ -25,4 +26,7 @@ def sigmas(times, position, yaw, tilt):
     axes.plot(t, np.degrees(yaw), "--", color=style.COLOURS["report"], label="yaw (°)")
     axes.plot(t, np.degrees(tilt), ":", color=style.COLOURS["invariant"], label="roll and pitch (°)")
     axes.set(xlabel="time since start (s)", ylabel="standard deviation", xlim=(0, t[-1]), yscale="log")
-    return drawing.finish(figure, "Position and yaw grow; gravity holds roll and pitch")
+    third = len(t) // 3
+    grown = [sigma[-1] / sigma[third] for sigma in (position, yaw, tilt)]
+    return drawing.finish(figure, f"From {t[third]:.0f} s on position and yaw grow {grown[0]:.1f} and {grown[1]:.1f} "
+                                  f"times, roll and pitch {grown[2]:.1f} times")

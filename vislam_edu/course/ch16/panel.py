@@ -47,7 +47,7 @@ class GrowthPicture(Picture):
 
     def build(self):
         """Two curves on a logarithmic scale."""
-        self.axes = add_axes(self, (0.12, 0.14, 0.86, 0.68), "", "time without a camera (s)", "σ of x (m)",
+        self.axes = add_axes(self, (0.15, 0.14, 0.81, 0.68), "", "time without a camera (s)", "σ of x (m)",
                              xlim=(0, TIMES[-1]), yscale="log", ylim=(1e-4, 1e4))
         (self.white,) = self.axes.plot(TIMES[1:], TIMES[1:], "--", color=COLOURS["report"], label="white noise alone")
         (self.biased,) = self.axes.plot(TIMES[1:], TIMES[1:], color=COLOURS["invariant"], label="biases as states")
