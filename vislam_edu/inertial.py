@@ -83,18 +83,6 @@ def samples_of(drive: Drive) -> ImuSamples:
     return drive.imu
 
 
-def error_with_velocity(error_state: ErrorState) -> ErrorState:
-    """The error state with a velocity in `Belief.motion[:3]` that is corrected as a position is."""
-
-    class WithVelocity(type(error_state)):  # type: ignore[misc]
-        def retract_motion(self, world_T_imu: np.ndarray, values: np.ndarray, delta: np.ndarray) -> np.ndarray:
-            as_pose = se3.pose(world_T_imu[:3, :3], values[:3])
-            moved, _ = self.retract(as_pose, np.empty((0, *self.point_shape)), delta[np.r_[6:9, 3:6]])
-            return np.concatenate([moved[:3, 3], values[3:] + delta[9:]])
-
-    return WithVelocity()
-
-
 def to_imu_order(error_state: ErrorState, world_T_imu: np.ndarray, velocity: np.ndarray) -> np.ndarray:
     """(15, 15): error of a filter [p, R, v, b_g, b_a] to that of `imu` [R, p, v, b_g, b_a], to first order."""
     R = world_T_imu[:3, :3]
@@ -118,16 +106,15 @@ class AccelerometerDriven(motion.MotionModel):
     def __init__(self, drive: Drive, noise: Noise, error_state: ErrorState,
                  begin: tuple[State, np.ndarray] | None = None) -> None:
         self.samples, self.times = samples_of(drive), drive.times
-        self.error_state = error_with_velocity(error_state)
-        self.begin = begin
+        self.error_state, self.begin = error_state, begin
+        self.no_points = np.empty((0, *error_state.point_shape))
 
     def start(self, world_T_imu: np.ndarray | None = None) -> Belief:
         """The belief at frame 0. A pose given takes the place of the one that the samples show."""
         state, P = self.begin or initial(self.samples, self.times[0])
         T = se3.pose(state.rotation, state.position) if world_T_imu is None else np.array(world_T_imu)
         M = np.linalg.inv(to_imu_order(self.error_state, T, state.velocity))
-        no_points = np.empty((0, *self.error_state.point_shape))
-        return Belief(T, no_points, np.empty(0, dtype=int), motion.symmetric(M @ P @ M.T),
+        return Belief(T, self.no_points, np.empty(0, dtype=int), motion.symmetric(M @ P @ M.T),
                       np.concatenate([state.velocity, state.gyro_bias, state.accelerometer_bias]))
 
     def transition(self, belief: Belief, k: int) -> motion.Transition:
@@ -147,6 +134,12 @@ class AccelerometerDriven(motion.MotionModel):
     def predict(self, belief: Belief, k: int) -> Belief:
         """The belief at frame k + 1 before the camera update."""
         return motion.propagate(belief, self.transition(belief, k))
+
+    def retract_motion(self, belief: Belief, delta: np.ndarray) -> np.ndarray:
+        """The velocity is corrected as a position is, the biases by a sum."""
+        as_pose = se3.pose(belief.world_T_imu[:3, :3], belief.motion[:3])
+        moved, _ = self.error_state.retract(as_pose, self.no_points, delta[np.r_[6:9, 3:6]])
+        return np.concatenate([moved[:3, 3], belief.motion[3:] + delta[9:]])
 
 
 def state_of(belief: Belief) -> State:

@@ -34,7 +34,7 @@ class UpdateSettings:
 
     camera : StereoCamera. noise : Noise. error_state : `ErrorState`.
     threshold : largest NIS (4 degrees of freedom) of a measurement that is used.
-    min_disparity : px, below it a new landmark waits for a better view.
+    min_disparity : px, below it a new landmark waits for a better view. retract_motion : see `motion.retract`.
     """
 
     camera: StereoCamera
@@ -42,6 +42,7 @@ class UpdateSettings:
     error_state: ErrorState
     threshold: float
     min_disparity: float
+    retract_motion: motion.RetractMotion = motion.add
 
 
 Frame = tuple[Belief, Belief, Innovation]
@@ -106,7 +107,7 @@ def apply_update(prior: Belief, H: Linearised, residual: np.ndarray, settings: U
     variance = np.tile(settings.noise.sigma_px**2 * stereo.ROW_VARIANCE, (len(residual), 1))
     delta, covariance = blockwise.absorb(prior.covariance, *H.blocks(len(prior.ids)), stereo.reduce_rows(residual),
                                          variance)
-    return motion.retract(prior, delta, covariance, settings.error_state)
+    return motion.retract(prior, delta, covariance, settings.error_state, settings.retract_motion)
 
 
 def update(prior: Belief, ids: np.ndarray, pixels: np.ndarray, settings: UpdateSettings) -> tuple[Belief, Innovation]:
@@ -247,7 +248,8 @@ def run(drive: Drive, noise: Noise, error_state: ErrorState | None = None, *,
         raise ValueError(f"min_disparity must be >= 0 px, got {min_disparity!r}")
     error_state = error_state or RightPerturbation()
     model = motion_model(drive, noise, error_state)
-    settings = UpdateSettings(drive.camera, noise, model.error_state, kalman.gate_threshold(gate), min_disparity)
+    settings = UpdateSettings(drive.camera, noise, error_state, kalman.gate_threshold(gate), min_disparity,
+                              model.retract_motion)
     posterior = after.posterior if after else model.start(world_T_imu)
     # Matrices of a few hundred rows: the threads of one product would wait for each other longer than they work.
     blas = ThreadpoolController()
