@@ -38,6 +38,10 @@ def add_arguments(parser):
                        help="angular velocity (default: 0.05 rad/s)")
     noise.add_argument("--sigma-px", type=number(0, low_allowed=False), metavar="PX",
                        help="each pixel coordinate (default: 0.7 px)")
+    noise.add_argument("--imu-noise", type=number(0, low_allowed=False), nargs=4,
+                       metavar=("GYRO", "ACC", "GYRO_WALK", "ACC_WALK"),
+                       help="of gyro and accelerometer, see imu.ImuNoise: their densities, rad/s and m/s^2 per root "
+                            "Hz, and the walks of their biases (default: as in the file, else those of an ADIS16448)")
     noise.add_argument("--report-noise", action="store_true",
                        help="the report's W and V where no other value is given (overconfident: try it)")
     joint = parser.add_argument_group("the joint filter")
@@ -71,13 +75,21 @@ def prepare(arguments):
 
     Raises DriveError where the audit is certain that the file is read wrongly and `--force` is not given.
     """
-    from .. import robust
+    import dataclasses
+
+    from .. import inertial, robust
     from ..drive import DriveError
+    from ..imu import ImuNoise
     from ..noise import Noise
     from ..studies import pipeline, scale
 
     drive, options, warnings = read_recording(arguments), {}, []
     base = Noise.from_report() if arguments.report_noise else Noise()
+    if drive.imu is not None and arguments.audit:
+        raise OptionError("run: --audit judges an IMU that gives velocities: not with an accelerometer")
+    if arguments.imu_noise:
+        samples = inertial.samples_of(drive)
+        drive = drive.replace(imu=dataclasses.replace(samples, noise=ImuNoise(*arguments.imu_noise)))
     if arguments.audit:
         from ..audit import audit
 
