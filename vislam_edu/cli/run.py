@@ -143,11 +143,13 @@ def correct_lens(arguments, drive, noise):
 
 def batch_problem(arguments, drive, noise):
     """What `--batch` minimises. Raises OptionError or DriveError where nothing can be minimised."""
-    from .. import batch
+    from .. import batch, inertial, inertial_batch
     from ..drive import DriveError
     from ..studies import pipeline
 
     try:
+        if drive.imu is not None:
+            return inertial_batch.Problem(drive, noise, begin=inertial.initial(drive, noise))
         return (pipeline.batch_of_real_drive(drive, noise, scale_sigma=0.05) if arguments.audit
                 else batch.Problem(drive, noise))
     except DriveError as error:
@@ -165,6 +167,7 @@ def _on_all_cores():
 
 def run(arguments):
     """Run the filters and write their results; returns the exit status."""
+    import dataclasses
     from contextlib import nullcontext
     from functools import partial
 
@@ -204,7 +207,10 @@ def run(arguments):
         if unusable := breakdown.unusable(result):
             raise DriveError(f"{arguments.recording}: not finite, or with a covariance that is not positive definite: "
                              f"{', '.join(unusable)}; {breakdown.likely_reason(drive, noise)}")
-        smoothed = pipeline.run_batch(problem, result.slam.trajectory.world_T_imu) if problem else None
+        smoothed = None
+        if problem:
+            problem = dataclasses.replace(problem, drive=result.drive)  # whose truth may be in another world by now
+            smoothed = pipeline.run_batch(problem, result.slam.trajectory.world_T_imu)
         numbers = outputs.write(result, folder, smoothed, found, [*ground_truth_doubts(arguments, drive), *warnings])
     if not arguments.quiet:
         print(outputs.table(numbers))
