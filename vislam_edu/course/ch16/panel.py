@@ -26,9 +26,9 @@ def growth(gyro_density, accelerometer_density, gyro_bias, accelerometer_bias, t
     standard deviations, rad/s and m/s^2.
     """
     tau, still = times[1] - times[0], (np.zeros((10, 3)), np.tile(-imu.GRAVITY, (10, 1)))
-    P, Q = np.zeros((4, 15, 15)), np.zeros((4, 15, 15))
+    zero, P, Q = np.zeros(3), np.zeros((4, 15, 15)), np.zeros((4, 15, 15))
     for i, noise in enumerate([(gyro_density, 0.0), (0.0, accelerometer_density)]):
-        motion = imu.preintegrate(*still, np.full(10, tau / 10), *np.zeros((2, 3)), imu.ImuNoise(*noise, 0.0, 0.0))
+        motion = imu.preintegrate(*still, np.full(10, tau / 10), zero, zero, imu.ImuNoise(*noise, 0.0, 0.0))
         F, Q[i] = imu.transition(np.eye(3), motion)
     P[2, imu.GYRO_BIAS, imu.GYRO_BIAS] = gyro_bias**2 * np.eye(3)
     P[3, imu.ACCELEROMETER_BIAS, imu.ACCELEROMETER_BIAS] = accelerometer_bias**2 * np.eye(3)
@@ -85,5 +85,5 @@ class GrowthPicture(Picture):
 
     def alt(self, **state):
         """The picture in words."""
-        return ("Standard deviation of the position of an IMU alone through time, two curves, and bars for what each of four "
-                "errors adds. " + self.caption(**state))
+        return ("Standard deviation of the position of an IMU alone through time, two curves, and bars of what each "
+                "of four errors adds. " + self.caption(**state))
