@@ -49,10 +49,10 @@ def load(name, extrinsics: str | None = None) -> Drive:
         if "cam_imgs_L" in fields:
             raise DriveError("holds images, not a recording; `vislam_edu track` makes tracks from them")
         name = {"name": path.stem, "source": f"UCSD ECE276A, {path.name}"}
-        imu = imu_of(fields)
+        times, twists = imu_of(fields)
         if newest:
-            return _pickled_layout(*imu, fields, name, extrinsics)
-        return _dense_drive(*imu, fields, camera_of(fields), name)
+            return _pickled_layout(times, twists, fields, name, extrinsics)
+        return _dense_drive(times, twists, fields, camera_of(fields), name)
 
 
 def save(drive, path):

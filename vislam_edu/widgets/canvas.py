@@ -109,7 +109,6 @@ class Picture:
 
     def __init__(self):
         self._moving = []
-        self._limits = {}
         self._background = None
         with style.context():
             self.figure = Figure(figsize=self.size, dpi=DPI)
@@ -163,10 +162,9 @@ class Picture:
 
         What stands still has to be drawn again when this changes, so it should change rarely.
         """
-        limits = (*(centre - half), *(centre + half))
-        if limits != self._limits.get(axes):
-            self._limits[axes] = limits
-            axes.set(xlim=limits[::2], ylim=limits[1::2])
+        limits = np.column_stack([centre - half, centre + half])
+        if not np.array_equal(limits, [axes.get_xlim(), axes.get_ylim()]):
+            axes.set(xlim=limits[0], ylim=limits[1])
             self._background = None
 
     def _pixels(self, scale):

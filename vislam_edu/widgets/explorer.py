@@ -164,9 +164,8 @@ class Explorer(anywidget.AnyWidget):
 
     def still(self, i: int | None = None, show: int | None = None) -> Still:
         """The picture of snapshot i, by default what is shown, as an output that needs no script."""
-        png, alt = explorer_still.draw(dict(self.header), self.data, self.half_step if i is None else i,
-                                       self.landmark, self.show if show is None else show)
-        return Still(png, alt)
+        return Still(*explorer_still.draw(self.histories, self.drive, self.half_step if i is None else i, self.landmark,
+                                          self.show if show is None else show, self.header["quantity"]))
 
     def __repr__(self):
         """Fixed, so that a notebook's stored text never depends on what is shown or on an address."""

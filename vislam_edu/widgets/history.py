@@ -134,6 +134,18 @@ class History:
                 return one
         raise KeyError(f"{name!r} is not among {[one.name for one in self.series]}")
 
+    @property
+    def covariances(self) -> list[np.ndarray]:
+        """The joint covariance of each snapshot; [] where one has none."""
+        found = [s.covariance for s in self.snapshots if s.covariance is not None]
+        return found if len(found) == len(self.snapshots) else []
+
+
+def all_ids(histories: Sequence[History]) -> np.ndarray:
+    """(n,) ids of all landmarks that some snapshot holds or its cameras saw, ascending."""
+    shots = [s for one in histories for s in one.snapshots]
+    return np.unique(np.concatenate([s.ids for s in shots] + [s.sight.ids for s in shots if s.sight]))
+
 
 def from_steps(name: str, steps: Iterable[Step], drive: Drive, error_state: ErrorState | None = None, *,
                colour: str | None = None, world_T_imu: np.ndarray | None = None) -> History:
