@@ -30,10 +30,8 @@ from numpy.typing import ArrayLike
 _SERIES_BELOW = 4.0  # rad^2, squared angle: at 2 rad series and closed forms agree to 1e-15
 _ORDERS = np.arange(15)
 _SERIES = np.array(  # power series in t^2, one row per order and one column per function a ... e
-    [
-        [(-1) ** n * top / factorial(2 * n + i) for i, top in enumerate((1, 1, 1, n + 1, n + 1), start=1)]
-        for n in range(len(_ORDERS))
-    ]
+    [[(-1) ** n * top / factorial(2 * n + i) for i, top in enumerate((1, 1, 1, n + 1, n + 1), start=1)]
+     for n in range(len(_ORDERS))]
 )
 
 

@@ -130,10 +130,8 @@ def check_calibration(K: np.ndarray) -> None:
     fu, fv = K[0, 0], K[1, 1]
     pattern = np.array([[fu, 0.0, K[0, 2]], [0.0, fv, K[1, 2]], [0.0, 0.0, 1.0]])
     if not (np.isfinite(K).all() and fu > 0.0 and fv > 0.0 and np.array_equal(K, pattern)):
-        raise ValueError(
-            "K must be [[f_u, 0, c_u], [0, f_v, c_v], [0, 0, 1]] with positive focal lengths, "
-            f"got {K.tolist()}"
-        )
+        raise ValueError("K must be [[f_u, 0, c_u], [0, f_v, c_v], [0, 0, 1]] with positive focal lengths, "
+                         f"got {K.tolist()}")
 
 
 def check_extrinsics(T: np.ndarray) -> None:

@@ -13,7 +13,6 @@ import numpy as np
 from .. import metrics, recordings, se3
 from ..error_state import RightPerturbation
 from ..plots import report_figures, style
-from ..plots.graph import draw_batch
 from ..recordings.files import part_of
 from ..studies import pipeline
 
@@ -188,7 +187,7 @@ def write(result, folder, smoothed=None, lens=None, warnings=()):
                                         "batch_landmarks": smoothed.solution.estimate.landmarks}),
     )
     if smoothed is not None:
-        draw_batch(result, smoothed.solution.estimate.world_T_imu).savefig(folder / "fig8_batch.png", **PNG)
+        report_figures.batch(result, smoothed.solution.estimate.world_T_imu).savefig(folder / "fig8_batch.png", **PNG)
     for name, draw in report_figures.FIGURES.items():
         draw(result).savefig(folder / f"{name}.png", **PNG)
     return numbers

@@ -18,6 +18,11 @@ from scipy.special import ndtri
 from .. import se3
 from . import style
 
+__all__ = ["TWO_SIDED_95", "WIDTH", "draw_ellipses", "draw_inset", "draw_landmarks", "draw_position_ellipses",
+           "draw_trajectory", "draw_truth", "finish", "heading", "heading_band", "heading_error", "heading_sigma",
+           "inside", "new_figure", "new_map", "over_time", "plane_sigma", "position_covariance", "position_outlines",
+           "trajectories", "view_around", "view_with_outlines"]
+
 WIDTH = 6.4  # inches, of every figure: 640 px
 _AXES_LEFT, _AXES_WIDTH = 0.75, 5.5  # inches, the same in every figure, so that pictures line up on a page
 _MAP_HEIGHTS = (3.0, 5.4)  # inches, least and greatest height of a map's axes
@@ -263,3 +268,15 @@ def new_image():
     figure, axes = new_figure(height=1.75)
     axes.set(xlim=(0, 1241), ylim=(376, 0), aspect="equal", xlabel="u (px)", ylabel="v (px)")
     return figure, axes
+
+
+def over_time(times, lines, ylabel, title, **scales):
+    """Numbers through time. lines : {key of `style.COLOURS`: (T,)}. Returns a Figure.
+
+    scales : for `matplotlib.axes.Axes.set`.
+    """
+    figure, axes = new_figure(2.6)
+    for name, values in lines.items():
+        axes.plot(times - times[0], values, **style.line(name))
+    axes.set(xlabel="time since start (s)", ylabel=ylabel, xlim=(0, times[-1] - times[0]), **scales)
+    return finish(figure, title)

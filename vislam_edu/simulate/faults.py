@@ -42,8 +42,7 @@ def add_gyro_bias(drive, bias):
     """Every angular velocity is off by the constant bias (3,), rad/s."""
     bias = np.broadcast_to(np.asarray(bias, float), 3)
     return _planted(
-        drive, f"gyro bias {bias.tolist()} rad/s", twists=drive.twists + np.concatenate([np.zeros(3), bias])
-    )
+        drive, f"gyro bias {bias.tolist()} rad/s", twists=drive.twists + np.concatenate([np.zeros(3), bias]))
 
 
 def delay_imu(drive, samples=1):
@@ -58,16 +57,14 @@ def delay_imu(drive, samples=1):
     return _planted(drive, f"IMU late by {samples} samples", twists=drive.twists[late])
 
 
-LENS_TERMS = {
-    "disparity": (False, lambda x, y: (1 + 0 * x, 0 * x)),
-    "disparity with u^2": (False, lambda x, y: (x**2, 0 * x)),
-    "disparity with v^2": (False, lambda x, y: (y**2, 0 * x)),
-    "row saddle": (False, lambda x, y: (0 * x, x * y)),
-    "focal length": (True, lambda x, y: (x, y)),
-    "radial": (True, lambda x, y: ((x**2 + y**2) * x, (x**2 + y**2) * y)),
-    "tangential along u": (True, lambda x, y: (3 * x**2 + y**2, 2 * x * y)),
-    "tangential along v": (True, lambda x, y: (2 * x * y, x**2 + 3 * y**2)),
-}
+LENS_TERMS = {"disparity": (False, lambda x, y: (1 + 0 * x, 0 * x)),
+              "disparity with u^2": (False, lambda x, y: (x**2, 0 * x)),
+              "disparity with v^2": (False, lambda x, y: (y**2, 0 * x)),
+              "row saddle": (False, lambda x, y: (0 * x, x * y)),
+              "focal length": (True, lambda x, y: (x, y)),
+              "radial": (True, lambda x, y: ((x**2 + y**2) * x, (x**2 + y**2) * y)),
+              "tangential along u": (True, lambda x, y: (3 * x**2 + y**2, 2 * x * y)),
+              "tangential along v": (True, lambda x, y: (2 * x * y, x**2 + 3 * y**2))}
 
 
 def lens_error(drive, **px):
@@ -114,9 +111,7 @@ def copy_frames(drive, frames=None):
     """
     frames = np.unique(drive.first_seen[drive.first_seen > 0]) if frames is None else np.asarray(frames, int)
     if frames.size and not (frames.min() > 0 and frames.max() < drive.n_frames):
-        raise ValueError(
-            f"copy frames must lie in 1..{drive.n_frames - 1}, got {frames.min()}..{frames.max()}"
-        )
+        raise ValueError(f"copy frames must lie in 1..{drive.n_frames - 1}, got {frames.min()}..{frames.max()}")
     order = np.lexsort((drive.frame, drive.landmark))  # track by track
     frame, landmark, pixels = drive.frame[order], drive.landmark[order], drive.pixels[order]
 

@@ -62,13 +62,11 @@ def standard_filters(noise):
     inverse_depth       and with landmarks of inverse depth
     """
     as_report = {"process_frame": window_slam.as_report}
-    return {
-        "report_values": FilterConfig(Noise.from_report(), RightPerturbation(), as_report),
-        "report": FilterConfig(noise, RightPerturbation(), as_report),
-        "right_perturbation": FilterConfig(noise, RightPerturbation()),
-        "right_invariant": FilterConfig(noise, RightInvariant()),
-        "inverse_depth": FilterConfig(noise, InverseDepth()),
-    }
+    return {"report_values": FilterConfig(Noise.from_report(), RightPerturbation(), as_report),
+            "report": FilterConfig(noise, RightPerturbation(), as_report),
+            "right_perturbation": FilterConfig(noise, RightPerturbation()),
+            "right_invariant": FilterConfig(noise, RightInvariant()),
+            "inverse_depth": FilterConfig(noise, InverseDepth())}
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,14 +102,8 @@ def judge(drive, candidate, world_T_imu):
                                  **candidate.options), candidate.error_state)
     nees = metrics.pose_nees(candidate.error_state, true, run.world_T_imu, run.covariance)
     from_start = [se3.inverse(poses[0]) @ poses for poses in (true, run.world_T_imu)]
-    return {
-        "nees_pose": nees.pose,
-        "nees_rotation": nees.rotation,
-        "nees_position": nees.position,
-        "nis": run.mean_nis,
-        "error": metrics.position_errors(*from_start),
-        "error_world": run.errors(true),
-    }
+    return {"nees_pose": nees.pose, "nees_rotation": nees.rotation, "nees_position": nees.position,
+            "nis": run.mean_nis, "error": metrics.position_errors(*from_start), "error_world": run.errors(true)}
 
 
 def initial_pose(drive, candidate, seed):
@@ -211,16 +203,14 @@ def _figures(study, band) -> dict:
     runs = len(study.seeds)
     over_runs = study.nees_pose.mean(axis=0)
     of_runs = study.nees_pose.mean(axis=1)
-    return {
-        "nees_pose": float(of_runs.mean()),
-        "nees_pose_standard_error": float(of_runs.std(ddof=1) / np.sqrt(runs)) if runs > 1 else None,
-        "frames_in_band": float(np.mean((band[0] <= over_runs) & (over_runs <= band[1]))),
-        "nees_rotation": float(study.nees_rotation.mean()),
-        "nees_position": float(study.nees_position.mean()),
-        "nis": float(np.median(study.nis)),
-        "rmse_m": float(np.sqrt(np.mean(study.error**2))),
-        "rmse_world_m": float(np.sqrt(np.mean(study.error_world**2))),
-    }
+    return {"nees_pose": float(of_runs.mean()),
+            "nees_pose_standard_error": float(of_runs.std(ddof=1) / np.sqrt(runs)) if runs > 1 else None,
+            "frames_in_band": float(np.mean((band[0] <= over_runs) & (over_runs <= band[1]))),
+            "nees_rotation": float(study.nees_rotation.mean()),
+            "nees_position": float(study.nees_position.mean()),
+            "nis": float(np.median(study.nis)),
+            "rmse_m": float(np.sqrt(np.mean(study.error**2))),
+            "rmse_world_m": float(np.sqrt(np.mean(study.error_world**2)))}
 
 
 def format_summary(figures) -> str:

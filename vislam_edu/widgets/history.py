@@ -13,15 +13,8 @@ import numpy as np
 from .. import kalman, metrics, se3
 from ..belief import Step
 from ..drive import Drive
-from ..error_state import (
-    ErrorState,
-    fitting,
-    right_pose_covariance,
-    to_right,
-    world_landmark_covariance,
-)
+from ..error_state import ErrorState, fitting, right_pose_covariance, to_right, world_landmark_covariance
 from ..stereo import FOUR_FROM_THREE
-from .panels import nis_band
 
 NOBODY = np.empty(0, int)
 MOTION_ROWS = ["v x", "v y", "v z", "ω x", "ω y", "ω z", "bias x", "bias y", "bias z"]
@@ -172,12 +165,10 @@ def from_steps(name: str, steps: Iterable[Step], drive: Drive, error_state: Erro
         nis += [value, value]
         numbers += [count, count]
         for belief, updated in ((step.prior, False), (step.posterior, True)):
-            now = replace(
-                of_belief(belief, error_state, pose), time=float(step.time), updated=updated, sight=sight,
-                label=f"frame {step.k}, {step.time:.1f} s, {'updated' if updated else 'predicted'}",
-                born=step.born if updated else NOBODY, retired=NOBODY if updated else step.retired,
-                true_world_T_imu=truth,
-            )
+            now = replace(of_belief(belief, error_state, pose), time=float(step.time), updated=updated, sight=sight,
+                          label=f"frame {step.k}, {step.time:.1f} s, {'updated' if updated else 'predicted'}",
+                          born=step.born if updated else NOBODY, retired=NOBODY if updated else step.retired,
+                          true_world_T_imu=truth)
             snapshots.append(replace(now, caption=describe(snapshots[-1] if snapshots else None, now, pose is None)))
     # Until the update of a frame, the NIS of the frame before stands.
     per_number = np.where(np.array(numbers[:-1]) > 0, numbers[:-1], np.nan)
@@ -353,6 +344,12 @@ def nees_series(steps, drive, error_state) -> Series:
     nees = metrics.pose_nees(error_state, truth, np.array([b.world_T_imu for b in beliefs]), np.array(claimed)).pose
     low, high = metrics.chi2_band(6, probability=0.95)
     return Series("NEES of the pose", "", nees, np.full(len(nees), low), np.full(len(nees), high), log=True)
+
+
+def nis_band(n_numbers):
+    """NIS / degrees of freedom that 95 % of honest frames show, (2, ...), for frames of so many numbers."""
+    n_numbers = np.asarray(n_numbers)
+    return np.array([kalman.chi_square_quantile(p, n_numbers) / n_numbers for p in (0.025, 0.975)])
 
 
 def row_names(snapshots, error_state) -> tuple[list[str], list[str]]:

@@ -91,8 +91,7 @@ def pack(histories: list[History], drive, start: int, landmark: int, show: int,
         "labels": [s.label for s in histories[0].snapshots],
         "updated": [int(s.updated) for s in histories[0].snapshots],
         "truth": truth(block, drive, ids), "colours": style.both_themes(),
-        "runs": [run(block, history) for history in histories],
-    }
+        "runs": [run(block, history) for history in histories]}
     size = block.size + len(json.dumps(header))
     if size > LIMIT:
         raise ValueError(f"{size / 1e6:.1f} MB for {lengths[0]} {histories[0].unit}s, an explorer takes "
@@ -125,8 +124,7 @@ def run(block: Block, history: History) -> dict[str, Any]:
         "born": [s.born.tolist() for s in snapshots], "retired": [s.retired.tolist() for s in snapshots],
         "series": [{"name": s.name, "unit": s.unit, "log": s.log,
                     **{key: block.put("series", getattr(s, key)) for key in ("values", "low", "high")}}
-                   for s in history.series],
-    }
+                   for s in history.series]}
     covariances = np.concatenate([s.landmark_covariance for s in snapshots])
     arrays: dict[str, Any] = {
         "time": [s.time for s in snapshots],
@@ -137,8 +135,7 @@ def run(block: Block, history: History) -> dict[str, Any]:
         "axes": principal_sigmas(covariances),
         "pose": [ground_pose(s.world_T_imu) for s in snapshots],
         "inset": [inset(snapshots, i) for i in range(len(snapshots))],
-        **sights(snapshots), **paths(snapshots),
-    }
+        **sights(snapshots), **paths(snapshots)}
     if history.covariances:
         arrays["sigma"], arrays["correlation"] = map(np.concatenate, zip(*map(split, history.covariances)))
     return packed | {name: block.put(name, array) for name, array in arrays.items()}

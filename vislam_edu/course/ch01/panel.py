@@ -9,7 +9,7 @@ from matplotlib.path import Path
 from ... import odometry, se3
 from ...plots.style import COLOURS, ellipse_points
 from ...widgets.canvas import Number, Picture
-from ...widgets.panels import LETTERING, add_axes, legend_above
+from ..panels import LETTERING, add_axes, legend_above
 
 TAU = 0.5  # s, one IMU sample
 SAMPLES = 20

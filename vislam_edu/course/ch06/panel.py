@@ -12,8 +12,8 @@ from ...plots.style import COLOURS, ellipse_points
 from ...plots.text import two_digits
 from ...studies.runs import record
 from ...widgets.canvas import Decades, Number, Picture, Switch
-from ...widgets.history import frame_nis
-from ...widgets.panels import LETTERING, TITLE, add_axes, legend, nis_band
+from ...widgets.history import frame_nis, nis_band
+from ..panels import LETTERING, TITLE, add_axes, legend
 
 LEFT, YAW = 1, 5  # of the pose error: across the road, where an error of the heading shows, and the heading
 ELLIPSES = 6

@@ -10,7 +10,7 @@ from ...motion import TwistAndBias
 from ...plots.style import COLOURS
 from ...studies import pipeline
 from ...widgets.canvas import Picture, Switch
-from ...widgets.panels import add_axes, fit_equal, legend
+from ..panels import add_axes, fit_equal, legend
 
 LOST = 20.0  # % of drift: beyond it there is nothing to compare
 
@@ -96,8 +96,7 @@ class CuresPicture(Picture):
             path, rejected_share = self._path(key)
             self._outcomes[key] = Outcome(
                 path, np.linalg.norm(path[:, :3, 3] - self.reference[:, :3, 3], axis=-1),
-                metrics.kitti_drift(self.reference, path)[0], metrics.ate(self.reference, path), rejected_share,
-            )  # fmt: skip
+                metrics.kitti_drift(self.reference, path)[0], metrics.ate(self.reference, path), rejected_share)
         return self._outcomes[key]
 
     def build(self):

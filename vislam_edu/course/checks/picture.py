@@ -101,7 +101,8 @@ def matrices(mine, right, name, framed, title):
     lefts = (columns + 1) * np.arange(3)
     for row, column in framed:
         for left in lefts:
-            axes.add_patch(Rectangle((left + column - 0.5, row - 0.5), 1, 1, fill=False, edgecolor="black", linewidth=2))
+            corner = left + column - 0.5, row - 0.5
+            axes.add_patch(Rectangle(corner, 1, 1, fill=False, edgecolor="black", linewidth=2))
     axes.set(xticks=lefts + (columns - 1) / 2, xticklabels=["yours", name, f"yours - {name}"])
     axes.grid(False)
     return drawing.finish(figure, title)
