@@ -201,8 +201,7 @@ def _draw_gyro(ax, i, since_start, alignment):
         return
     at = since_start[alignment.steps]
     ax.plot(at, alignment.measured[:, 3 + i], ".", ms=2, color=style.COLOURS["measured"], label="IMU")
-    ax.plot(at, alignment.predicted[:, 3 + i], lw=1, color=style.COLOURS["predicted"],
-            label="cameras, best mounting")
+    ax.plot(at, alignment.predicted[:, 3 + i], lw=1, color=style.COLOURS["predicted"], label="cameras, best mounting")
     _legend_above_data(ax)
 
 

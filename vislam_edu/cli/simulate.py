@@ -8,8 +8,7 @@ from .arguments import SIGMAS, OptionError, add_noise, number, whole
 def add_arguments(parser):
     """The options of `simulate`. parser : argparse.ArgumentParser."""
     parser.add_argument("--out", type=Path, required=True, metavar="FILE", help="npz file to write")
-    parser.add_argument("--seed", type=whole(0), default=0, metavar="N",
-                        help="of everything random (default: 0)")
+    parser.add_argument("--seed", type=whole(0), default=0, metavar="N", help="of everything random (default: 0)")
     parser.add_argument("--frames", type=whole(2, 100_000), default=500, metavar="N", help="at 10 Hz (default: 500)")
     add_noise(parser, perfect_pixels=True)
     parser.add_argument("--gyro-bias", type=number(), nargs=3, default=(0.0, 0.0, 0.0), metavar=("X", "Y", "Z"),

@@ -47,3 +47,10 @@ def image_axes(picture, rect, title):
     width, height = IMAGE_SIZE
     return add_axes(picture, rect, title, xlim=(0, width), ylim=(height, 0), aspect="equal", anchor="W",
                     facecolor="0.97")
+
+
+def new_image():
+    """Figure and axes that are the left camera's image, px; v points down."""
+    figure, axes = plots.new_figure(height=1.75)
+    axes.set(xlim=(0, IMAGE_SIZE[0]), ylim=(IMAGE_SIZE[1], 0), aspect="equal", xlabel="u (px)", ylabel="v (px)")
+    return figure, axes

@@ -4,8 +4,7 @@ Functions that start with `draw_` put artists on axes that they are given. The o
 return it. pyplot is not involved: in a notebook the figure is the cell's last expression (no semicolon), in a
 script `figure.savefig(path)` writes it.
 
-Maps are in metres, world frame, equal scales: x (forward at the start) to the right, y (left at the start)
-up.
+Maps are in metres, world frame, equal scales: x (forward at the start) to the right, y (left at the start) up.
 """
 
 import re
@@ -19,7 +18,7 @@ from .. import se3
 from . import style
 
 __all__ = ["TWO_SIDED_95", "WIDTH", "draw_ellipses", "draw_inset", "draw_landmarks", "draw_position_ellipses",
-           "draw_trajectory", "draw_truth", "finish", "heading", "heading_band", "heading_error", "heading_sigma",
+           "draw_trajectory", "draw_truth", "finish", "heading", "heading_error", "heading_sigma",
            "inside", "new_figure", "new_map", "over_time", "plane_sigma", "position_covariance", "position_outlines",
            "trajectories", "view_around", "view_with_outlines"]
 
@@ -178,8 +177,7 @@ def draw_landmarks(axes, points, method, **changes):
 def position_outlines(trajectory, count=12):
     """(count, n, 2) m, 95 % ellipses of the position at frames evenly spread from the first to the last."""
     frames = np.unique(np.linspace(0, len(trajectory.times) - 1, count).astype(int))
-    return style.ellipse_points(trajectory.world_T_imu[frames, :2, 3],
-                                position_covariance(trajectory)[frames, :2, :2])
+    return style.ellipse_points(trajectory.world_T_imu[frames, :2, 3], position_covariance(trajectory)[frames, :2, :2])
 
 
 def draw_position_ellipses(axes, trajectory, method, count=12):
@@ -196,8 +194,7 @@ def draw_ellipses(axes, means, covariances, colour, label="95 % ellipses"):
     Returns the LineCollection.
     """
     outlines = style.ellipse_points(means[:, :2], covariances[:, :2, :2])
-    return axes.add_collection(LineCollection(outlines, colors=colour, linewidths=0.9, label=label),
-                               autolim=False)
+    return axes.add_collection(LineCollection(outlines, colors=colour, linewidths=0.9, label=label), autolim=False)
 
 
 def draw_inset(axes, centre, half, place, title):
@@ -233,41 +230,9 @@ def trajectories(drive, estimates, title=""):
     return finish(figure, title)
 
 
-@style.styled
-def heading_band(drive, trajectory, method="dead_reckoning"):
-    """How wrong the heading is, and how wrong it claims to be: error over time and a 95 % band.
-
-    drive : Drive. trajectory : Trajectory. method : key of `style.COLOURS`. Without truth the band is drawn
-    around zero and nothing is known about the error. Returns a Figure.
-    """
-    t = trajectory.times - trajectory.times[0]
-    band = np.degrees(TWO_SIDED_95 * heading_sigma(trajectory))
-    figure, axes = new_figure()
-    axes.fill_between(t, -band, band, color=style.COLOURS[method], alpha=0.25, linewidth=0,
-                      label="95 % band claimed")
-    axes.set(xlabel="time since start (s)", ylabel="heading error (°)", xlim=(0, t[-1] or 1))
-    name = style.LABELS[method][0].upper() + style.LABELS[method][1:]
-    if not drive.has_truth:
-        return finish(figure, f"{name} claims its heading to ±{band[-1]:.2g}° at the end")
-    error = np.degrees(heading_error(drive.true_world_T_imu, trajectory.world_T_imu))
-    axes.plot(t, error, color=style.COLOURS[method], label="estimated minus true heading")
-    known = np.isfinite(error)
-    share = 100 * np.mean(np.abs(error[known]) <= band[known])
-    claim, off = band[known][-1], abs(error[known][-1])
-    return finish(figure, f"{name} claims its heading to ±{claim:.2g}° at the end and is {off:.2g}° off: "
-                          f"inside the 95 % band in {share:.0f} % of frames")
-
-
 def heading_error(true_world_T_imu, world_T_imu):
     """(...) rad in (-pi, pi], estimated minus true heading; NaN where there is no truth."""
     return heading(world_T_imu @ se3.inverse(true_world_T_imu))
-
-
-def new_image():
-    """Figure and axes that are the left camera's image, px; v points down."""
-    figure, axes = new_figure(height=1.75)
-    axes.set(xlim=(0, 1241), ylim=(376, 0), aspect="equal", xlabel="u (px)", ylabel="v (px)")
-    return figure, axes
 
 
 def over_time(times, lines, ylabel, title, **scales):

@@ -4,9 +4,8 @@
 spoils the sensors, `street_loop` does both. Every random draw comes from the seed, and road, landmarks, IMU
 noise and pixel noise each have a stream of their own: another noise leaves the geometry alone.
 
-The defaults resemble KITTI and the report's recordings: the camera, 10 m/s, about 60 landmarks in view,
-tracks of 5 to 100 frames that never come back, new ones born in bursts because a tracker looks for corners
-only now and then.
+The defaults resemble KITTI and the report's recordings: the camera, 10 m/s, about 60 landmarks in view, tracks of 5 to
+100 frames that never come back, new ones born in bursts because a tracker looks for corners only now and then.
 
 `python -m vislam_edu.simulate.drives [directory]` writes the two drives that the notebooks use.
 """
@@ -127,16 +126,14 @@ def perfect_street_loop(seed=0, *, frames=500, tau=0.1, jitter=0.0005, speed=10.
 
     frames, tau, jitter : number of frames, mean time between them (s), and its uniform variation (+- s).
     speed : mean speed, m/s; the car is slower in corners.
-    loop_length : m once around the loop; by default the drive's length, so the last frame is back where the
-        first one was, but at least 400 m. A loop longer than the drive is driven in part, a shorter one
-        several times.
+    loop_length : m once around the loop; by default the drive's length, so the last frame is back where the first one
+        was, but at least 400 m. A loop longer than the drive is driven in part, a shorter one several times.
     hills : RMS height of the hills, m.
     lane_change : m to the left from the second lap on. life, name, tracks : arguments of `along`.
 
-    The IMU sample k is the constant twist from frame k to k+1, exactly: `T[k+1] = T[k] exp(tau_k xi_k^)`. The
-    last sample, which no frame follows, repeats the one before. The world of the ground truth has x along the
-    first street and z up. Raises ValueError when an argument is out of range or the loop is too short for its
-    corners.
+    The IMU sample k is the constant twist from frame k to k+1, exactly: `T[k+1] = T[k] exp(tau_k xi_k^)`. The last
+    sample, which no frame follows, repeats the one before. The world of the ground truth has x along the first street
+    and z up. Raises ValueError when an argument is out of range or the loop is too short for its corners.
     """
     shortest, longest = life
     if not 1 <= shortest <= longest:
@@ -187,9 +184,8 @@ def along(world_T_imu, times, seed=0, *, visible=60, life=(5, 100), mean_life=50
 def add_noise(drive, seed=0, *, sigma_v=0.5, sigma_omega=0.05, sigma_px=0.7, gyro_bias=(0.0, 0.0, 0.0)):
     """The drive with white noise on every IMU sample and every pixel coordinate, and a constant gyro bias.
 
-    sigma_v m/s and sigma_omega rad/s per IMU sample and axis, sigma_px px, gyro_bias (3,) rad/s. The same
-    seed draws the same standard normal numbers whatever the sigmas are, so runs that differ in a sigma
-    compare like with like.
+    sigma_v m/s and sigma_omega rad/s per IMU sample and axis, sigma_px px, gyro_bias (3,) rad/s. The same seed draws
+    the same standard normal numbers whatever the sigmas are, so runs that differ in a sigma compare like with like.
     """
     scale = np.repeat([sigma_v, sigma_omega], 3)
     twists = drive.twists + scale * _stream(seed, _IMU).standard_normal(drive.twists.shape)
@@ -202,9 +198,8 @@ def street_loop(seed=0, *, frames=500, sigma_v=0.5, sigma_omega=0.05, sigma_px=0
                 outlier_share=0.0, **geometry):
     """A `Drive` around a street loop with ground truth and noisy sensors.
 
-    The noise is that of `add_noise`; outlier_share in [0, 1] of the tracks are wrong as in
-    `faults.outlier_tracks` (the ground truth keeps the landmark they pretend to be); all else goes to
-    `perfect_street_loop`.
+    The noise is that of `add_noise`; outlier_share in [0, 1] of the tracks are wrong as in `faults.outlier_tracks` (the
+    ground truth keeps the landmark they pretend to be); all else goes to `perfect_street_loop`.
     """
     drive = perfect_street_loop(seed, frames=frames, **geometry)
     if outlier_share:

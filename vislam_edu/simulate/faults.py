@@ -1,7 +1,6 @@
 """Faults of real recordings, planted on purpose in a good one, so that an audit can be seen to find them.
 
-Each function returns a new `Drive` and says in its `history` what was planted. The ground truth stays what it
-was.
+Each function returns a new `Drive` and says in its `history` what was planted. The ground truth stays what it was.
 """
 
 from dataclasses import replace
@@ -16,9 +15,8 @@ def _planted(drive, what, **fields):
 def flip_imu_axes(drive, signs=(1, -1, -1)):
     """The extrinsics belong to an IMU frame with some axes reversed; the samples stay as they were.
 
-    signs (3,) of +1 and -1 with product +1 (a reflection is no frame). (1, -1, -1), forward-right-down
-    extrinsics with forward-left-up samples, is the fault of the report's dataset 3. The cure is the same flip
-    again.
+    signs (3,) of +1 and -1 with product +1 (a reflection is no frame). (1, -1, -1), forward-right-down extrinsics with
+    forward-left-up samples, is the fault of the report's dataset 3. The cure is the same flip again.
     """
     signs = np.asarray(signs)
     if signs.shape != (3,) or not np.isin(signs, (-1, 1)).all() or signs.prod() != 1:
@@ -106,8 +104,7 @@ def copy_frames(drive, frames=None):
     Afterwards it moves as the true track moves, but from the stale place: each copy leaves the track one
     increment behind for good, the increment's noise included. Those that are born at the frame are right.
 
-    frames : copy frames; by default every frame after the first where a landmark is born, as in the real
-        recordings.
+    frames : copy frames; by default every frame after the first where a landmark is born, as in the real recordings.
     """
     frames = np.unique(drive.first_seen[drive.first_seen > 0]) if frames is None else np.asarray(frames, int)
     if frames.size and not (frames.min() > 0 and frames.max() < drive.n_frames):

@@ -1,8 +1,7 @@
 """Monte Carlo: does the truth lie where the filter says it does, drive after drive?
 
-One drive proves nothing, for a good filter is unlucky at times. So many drives are simulated, each with
-its own seed; the same filters run over each; and the squared errors are held against what the filters
-claimed.
+One drive proves nothing, for a good filter is unlucky at times. So many drives are simulated, each with its own seed;
+the same filters run over each; and the squared errors are held against what the filters claimed.
 
     make_drive = functools.partial(simulate.street_loop, frames=200)
     studies = monte_carlo(make_drive, standard_filters(Noise()), range(50), out="study")
@@ -123,8 +122,7 @@ def _one_seed(make_drive, filters, seed, path, study):
     if path is not None and path.exists():
         return _load(path, filters, study)
     drive = make_drive(seed)
-    runs = {name: judge(drive, candidate, initial_pose(drive, candidate, seed))
-            for name, candidate in filters.items()}
+    runs = {name: judge(drive, candidate, initial_pose(drive, candidate, seed)) for name, candidate in filters.items()}
     if path is not None:
         with files.replacing(path) as file:
             np.savez(file, study=study, **{f"{name}.{key}": value
@@ -152,8 +150,7 @@ def monte_carlo(make_drive, filters, seeds, out=None):
 
     make_drive : seed -> Drive with truth, all of one length; a function that a worker can import, or a
     functools.partial of one. filters : {name: FilterConfig}. seeds : iterable of int.
-    out : directory for one file per seed, made if need be; files of the same study that it holds are not
-    run again.
+    out : directory for one file per seed, made if need be; files of the same study that it holds are not run again.
     Returns {name: Study}.
     Raises ValueError when `out` holds runs of another study: what counts are make_drive, its arguments and
     the filters. A change of the package's own code is not noticed; take a new directory then.
@@ -220,8 +217,7 @@ def format_summary(figures) -> str:
     names = [name for name, value in figures.items() if isinstance(value, dict)]
     width = max(map(len, names))
     lines = [" " * width + "".join(f"{title:>11}" for title in columns.values())]
-    lines += [f"{name:{width}}" + "".join(f"{_digits(figures[name][key]):>11}" for key in columns)
-              for name in names]
+    lines += [f"{name:{width}}" + "".join(f"{_digits(figures[name][key]):>11}" for key in columns) for name in names]
     low, high = figures["band_99"]
     lines.append(f"{figures['runs']} drives of {figures['frames']} frames; "
                  f"99 % band of the pose's NEES [{low:.2f}, {high:.2f}]")
