@@ -111,13 +111,13 @@ def error_state_of(arguments):
 
 
 def correct_lens(arguments, drive, noise):
-    """The drive with its pixels corrected, the `lens.Lens` that did it, and warnings of its estimate."""
-    from ..studies import lens, pipeline
+    """The drive with its pixels corrected, the `LensErrors` that did it, and warnings of its estimate."""
+    from ..studies import lens_errors, pipeline
 
     if arguments.lens_from:
-        found, warnings = lens.load(arguments.lens_from), []
+        found, warnings = lens_errors.load(arguments.lens_from), []
     else:
-        found, smoothed = lens.estimate(pipeline.batch_of_real_drive(drive, noise, scale_sigma=0.05))
+        found, smoothed = lens_errors.estimate(pipeline.batch_of_real_drive(drive, noise, scale_sigma=0.05))
         warnings = [f"lens: {warning}" for warning in smoothed.warnings]
     if not arguments.quiet:
         print(found, end="\n\n")

@@ -5,8 +5,7 @@ the file's bytes before dtype, shape and size have been checked. Only opcodes th
 """
 
 import pickle
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from math import prod
 from typing import Any, BinaryIO, ClassVar
 
@@ -86,7 +85,8 @@ _build = pickle._Unpickler.dispatch[pickle.BUILD[0]]
 class _Unpickler(pickle._Unpickler):
     """The pure Python unpickler, whose memo is a dictionary: an index of 2^30 in a file costs one entry, not 8 GB."""
 
-    dispatch: ClassVar[Any] = {code: work for code, work in pickle._Unpickler.dispatch.items() if code in _OPCODES}
+    dispatch: ClassVar[Any] = {code: work for code, work in pickle._Unpickler.dispatch.items()
+                               if code in _OPCODES}
 
     def find_class(self, module: str, name: str) -> Any:
         try:
@@ -140,31 +140,29 @@ class _Lazy(_Unpickler):
     dispatch[pickle.BINBYTES8[0]] = load_binbytes8
 
 
-@contextmanager
-def _damage_named(what: str) -> Iterator[None]:
-    """Whatever a damaged pickle raises becomes a DriveError that says `what`."""
-    try:
-        yield
-    except DriveError:
-        raise
-    except Exception as error:
-        raise DriveError(f"{what} ({type(error).__name__}: {error})") from None
-
-
 def load_lists(file: BinaryIO, *keys: str) -> list[list[Callable[[], np.ndarray]]]:
     """Lists of arrays of a pickled dictionary, each array a function that reads it. Raises DriveError."""
-    with _damage_named(f"expected a pickled dictionary with lists of arrays {' and '.join(keys)}"):
+    try:
         value = _Lazy(file).load()
         value = value.to_numpy() if isinstance(value, _Array) else value
         value = value[0] if isinstance(value, list) and len(value) == 1 else value
         lists = [value[key].to_numpy() if isinstance(value[key], _Array) else value[key] for key in keys]
         return [[one.to_numpy for one in items] for items in lists]
+    except DriveError:
+        raise
+    except Exception as error:
+        raise DriveError(f"expected a pickled dictionary with lists of arrays {' and '.join(keys)} "
+                         f"({type(error).__name__}: {error})") from None
 
 
 def load(file: BinaryIO) -> Any:
     """What the pickle holds, arrays made. Raises DriveError."""
-    with _damage_named("its pickle is damaged or cut short"):
+    try:
         return _plain(_Unpickler(file, encoding="latin1").load())
+    except DriveError:
+        raise
+    except Exception as error:  # a damaged pickle can raise anything
+        raise DriveError(f"its pickle is damaged or cut short ({type(error).__name__}: {error})") from None
 
 
 def _plain(value: Any) -> Any:

@@ -325,7 +325,7 @@ def score(run: Callable, student: int | str = 0, limit: float = LIMIT, error_sta
 
 # --- the stages -------------------------------------------------------------------------------------------
 
-def localise(pieces: dict[str, Callable]) -> Verdict | None:
+def first_wrong_stage(pieces: dict[str, Callable]) -> Verdict | None:
     """The verdict on the first stage that is not right, in the order of `STAGES`; None if all are.
 
     pieces : the student's functions by the names of the stages.
