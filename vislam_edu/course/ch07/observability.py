@@ -15,8 +15,8 @@ from functools import reduce
 
 import numpy as np
 
-from .. import se3
-from ..belief import positions
+from ... import se3
+from ...belief import positions
 
 
 @dataclass(frozen=True, eq=False)
