@@ -73,7 +73,7 @@ def view_around(*positions, margin=30.0):
     return _widened(x0, x1, y0, y1)
 
 
-def view_with_outlines(paths, outlines, margin=10.0):
+def view_with_outlines(paths, outlines):
     """The view around paths and ellipses; ellipses that leave the paths far behind (by a quarter of their
     extent) are cut off, or a filter that knows nothing would shrink the drive to a dot.
     """
@@ -81,7 +81,7 @@ def view_with_outlines(paths, outlines, margin=10.0):
     xy = xy[np.isfinite(xy).all(axis=1)]
     low, high = xy.min(axis=0), xy.max(axis=0)
     reach = 0.25 * np.linalg.norm(high - low)
-    return view_around(xy, *[np.clip(o, low - reach, high + reach) for o in outlines], margin=margin)
+    return view_around(xy, *[np.clip(o, low - reach, high + reach) for o in outlines], margin=10.0)
 
 
 def _widened(x0, x1, y0, y1):

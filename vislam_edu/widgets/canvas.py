@@ -164,7 +164,7 @@ class Picture:
             self._background = None
 
     def _png(self, scale, **options):
-        """The drawn figure as a file. scale : dots per inch, as a multiple of `DPI`. options : of `PIL.Image.save`."""
+        """The drawn figure as a file. scale : dots per inch, as a multiple of `DPI`. options : of Pillow's save."""
         if self.figure.dpi != scale * DPI:
             self.figure.set_dpi(scale * DPI)
             self._background = None

@@ -141,13 +141,12 @@ def all_ids(histories: Sequence[History]) -> np.ndarray:
 
 
 def from_steps(name: str, steps: Iterable[Step], drive: Drive, error_state: ErrorState | None = None, *,
-               colour: str | None = None, world_T_imu: np.ndarray | None = None) -> History:
+               world_T_imu: np.ndarray | None = None) -> History:
     """The history of a filter: two snapshots a step, its prior and its posterior.
 
     steps : `Step`s whose beliefs are a joint `Belief`, a `MapBelief` or a `PoseBelief`.
     drive : the Drive they were run on; its true landmarks are the known map of a filter that estimates a pose only.
     error_state : that of a joint filter, by default `error_state.fitting`.
-    colour : key of `style.COLOURS`, by default the role of the error state.
     world_T_imu : (T, 4, 4), the poses that were given to a filter which estimates a map only.
     Raises ValueError for an empty history.
     """
@@ -176,7 +175,7 @@ def from_steps(name: str, steps: Iterable[Step], drive: Drive, error_state: Erro
     series = [*pose_series(snapshots), nis_series]
     if truth is not None and snapshots[0].pose_covariance is not None:
         series.insert(-1, nees_series(steps, drive, error_state))
-    return History(name, colour or error_state.role, "half-step", "time (s)", row_names(snapshots, error_state),
+    return History(name, error_state.role, "half-step", "time (s)", row_names(snapshots, error_state),
                    tuple(snapshots), tuple(series))
 
 
