@@ -26,8 +26,7 @@ def times_H(A: np.ndarray, rows: np.ndarray, H_landmark: np.ndarray, H_pose: np.
     return HA
 
 
-def times_HT(X: np.ndarray, rows: np.ndarray, H_landmark: np.ndarray, H_pose: np.ndarray, n: int,
-             d: int) -> np.ndarray:
+def times_HT(X: np.ndarray, rows: np.ndarray, H_landmark: np.ndarray, H_pose: np.ndarray, n: int, d: int) -> np.ndarray:
     """H^T X, (d, c), for X (3m, c)."""
     out = np.zeros((d, X.shape[1]))
     out[:3 * n].reshape(n, 3, -1)[rows] = H_landmark.mT @ X.reshape(len(rows), 3, -1)

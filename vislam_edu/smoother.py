@@ -23,7 +23,7 @@ Source: Bierman, Fixed interval smoothing with discrete measurements, 1973 (the 
 np.int64(42)
 """
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial
 from itertools import islice
@@ -171,13 +171,11 @@ def _backwards(n_frames: int, run: Callable[..., Iterator[Step]]) -> Iterator[tu
         yield from reversed(list(zip([start, *steps], steps)))
 
 
-def final_map(drive: Drive, noise: Noise, error_state: ErrorState | None = None,
-              progress: Callable[..., Iterable] = lambda frames, total: frames, **options: Any) -> MapBelief:
+def final_map(drive: Drive, noise: Noise, error_state: ErrorState | None = None, **options: Any) -> MapBelief:
     """Every landmark as the filter that never retires one would know it at the end of the drive.
 
     Returns a `MapBelief`; rows of landmarks that were never born are zero, and not `seen`.
     drive, noise, error_state, options : as for `window_slam.run`, with its `ImuDriven` motion model.
-    progress : called as `progress(frames, total=T)` on the backward walk, for instance `tqdm.auto.tqdm`.
     Raises ValueError for another motion model, for a run that retires nothing, or for robust weights.
 
     For `RightPerturbation` the result is that filter's, to rounding. For `RightInvariant` it is to first order: there
@@ -200,7 +198,7 @@ def final_map(drive: Drive, noise: Noise, error_state: ErrorState | None = None,
     lam, Lam = np.empty((0, 1)), np.empty((0, 0))
     run = partial(window_slam.run, drive, noise, error_state, **options)
     with threadpool_limits(limits=1, user_api="blas"):  # as in `window_slam.run`
-        for earlier, step in progress(_backwards(drive.n_frames, run), total=drive.n_frames):
+        for earlier, step in _backwards(drive.n_frames, run):
             if step.k == drive.n_frames - 1:  # the end: nothing later, what is in the state has its final estimate
                 d, n = len(step.posterior.covariance), len(step.posterior.ids)
                 lam, Lam = np.zeros((d, 1)), np.zeros((d, d))

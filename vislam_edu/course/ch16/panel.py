@@ -6,7 +6,7 @@ from ... import imu
 from ...plots import two_digits
 from ...plots.style import COLOURS
 from ...widgets.canvas import Decades, Picture
-from ...widgets.panels import add_axes, legend_above
+from ..panels import add_axes, legend_above
 
 TIMES = np.linspace(0, 20, 101)  # s
 CONTROLS = {
