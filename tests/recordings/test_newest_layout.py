@@ -179,8 +179,8 @@ def test_a_bare_pickle_is_read(tmp_path):
     assert_sees_what_it_should(recordings.load(tmp_path / "a.pkl"))
 
 
-def test_a_pickled_recording_needs_little_more_memory_than_its_dense_array(tmp_path):
-    """One of the course's has (4, 5376, 3755) entries, 646 MB, and has to be read within 0.9 GB."""
+def test_a_pickled_recording_needs_far_less_memory_than_its_dense_array(tmp_path):
+    """One of the course's has (4, 5376, 3755) entries, 646 MB: they are read from the file a piece at a time."""
     n_landmarks, n_frames, life = 2000, 2000, 40
     features = np.full((4, n_landmarks, n_frames), -1.0)
     for i in range(n_landmarks):
@@ -188,7 +188,7 @@ def test_a_pickled_recording_needs_little_more_memory_than_its_dense_array(tmp_p
     path = written(tmp_path / "a.npy", "imu_T_regular", K_RIGHT, TURNED, features=features, v_t=np.zeros((n_frames, 3)),
                    w_t=np.zeros((n_frames, 3)), timestamps=0.03 * np.arange(n_frames))
     del features
-    assert peak(lambda: recordings.load(path, extrinsics="imu_T_regular")) < 1.5 * 32 * n_landmarks * n_frames
+    assert peak(lambda: recordings.load(path, extrinsics="imu_T_regular")) < 32 * n_landmarks * n_frames / 2
 
 
 @pytest.mark.parametrize("scale", [1e3, 1e9])

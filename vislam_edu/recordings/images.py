@@ -16,7 +16,7 @@ from PIL import Image
 from .. import lens, se3
 from ..drive import Drive, DriveError
 from ..stereo import StereoCamera
-from . import extrinsics, files, layouts, unpickling
+from . import extrinsics, files, layouts
 
 Pair = tuple[np.ndarray, np.ndarray]
 _FOLDERS = (("image_0", "image_1"), ("image_2", "image_3"), ("mav0/cam0/data", "mav0/cam1/data"),
@@ -92,14 +92,9 @@ def _times(folder: Path, names: list[str]) -> np.ndarray | None:
 
 
 def _course(path: Path) -> Pairs:
-    file = files.open_regular(path)  # stays open: images are read from it when they are asked for
-    if file.read(6) == b"\x93NUMPY":
-        file.seek(0)
-        files.npy_header(file)
-    else:
-        file.seek(0)
-    left, right = unpickling.load_lists(file, "cam_imgs_L", "cam_imgs_R")
-    return Pairs(list(zip(left, right)), None)
+    fields = files.fields_of(files.open_regular(path))  # stays open: images are read when they are asked for
+    left, right = (fields.arrays(key) for key in ("cam_imgs_L", "cam_imgs_R"))
+    return Pairs([(one.read, other.read) for one, other in zip(left, right)], None)
 
 
 def _videos(left: Path, right: Path) -> Pairs:
