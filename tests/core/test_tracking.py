@@ -89,7 +89,8 @@ def rig(turn=0.0):
     K = np.array([[200.0, 0, 120], [0, 200, 80], [0, 0, 1]])
     c, s = np.cos(turn), np.sin(turn)
     left_T_right = np.array([[c, -s, 0, 0.3], [s, c, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
-    return lens.rectified(K, K, left_T_right, np.eye(4), (-0.2, 0.05, 0.001, -0.002), (-0.1, 0.02, 0.0, 0.001))
+    K_right = K * [[1.02], [1.01], [1]]
+    return lens.rectified(K, K_right, left_T_right, np.eye(4), (-0.2, 0.05, 0.001, -0.002), (-0.1, 0.02, 0.0, 0.001))
 
 
 def test_rectifying_known_points():
