@@ -13,7 +13,8 @@ def add_arguments(parser):
                         help="a folder of KITTI's or EuRoC's layout, two folders (left, right), the course's "
                              "_imgs.npy, or two videos (these need imageio)")
     parser.add_argument("--calibration", nargs="+", type=Path, required=True, metavar="FILE",
-                        help="KITTI's calib.txt, EuRoC's two yaml files (left, right), or a recording of the course")
+                        help="KITTI's calib.txt or calib_cam_to_cam.txt, EuRoC's two yaml files (left, right), or a "
+                             "recording of the course")
     parser.add_argument("--imu", type=Path, required=True, metavar="FILE",
                         help="velocities: a recording of the course, or rows of time, linear and angular velocity")
     parser.add_argument("--out", type=Path, required=True, metavar="FILE", help="npz file to write")
@@ -52,7 +53,7 @@ def run(arguments):
     if arguments.out.suffix != ".npz":
         raise OptionError(f"{arguments.out}: expected a name that ends in .npz")
     pairs = images.open_pairs(arguments.images)
-    rig, make = images.open_calibration(arguments.calibration)
+    rig, make = images.open_calibration(arguments.calibration, pairs.first)
     imu_times, twists = images.open_imu(arguments.imu)
     times = imu_times[:len(pairs)] if pairs.times is None else pairs.times
     n = min(len(pairs), len(times))
