@@ -60,38 +60,6 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from . import (
-        association,
-        audit,
-        batch,
-        belief,
-        drive,
-        ekf_slam,
-        error_state,
-        imu,
-        inertial,
-        inertial_batch,
-        inverse_depth,
-        kalman,
-        lens,
-        mapping,
-        metrics,
-        motion,
-        noise,
-        normal_equations,
-        odometry,
-        plots,
-        recordings,
-        robust,
-        se3,
-        simulate,
-        smoother,
-        stereo,
-        studies,
-        tracking,
-        widgets,
-        window_slam,
-    )
     from .drive import Drive
     from .error_state import InverseDepth, RightInvariant, RightPerturbation
     from .noise import Noise
@@ -101,11 +69,9 @@ if TYPE_CHECKING:
 __version__ = "0.2.0"
 __all__ = [
     "Drive", "InverseDepth", "Noise", "RightInvariant", "RightPerturbation", "StereoCamera", "association", "audit",
-    "batch", "belief", "drive", "ekf_slam", "error_state", "imu", "inertial", "inertial_batch",
-    "inverse_depth", "kalman", "lens", "load", "mapping", "metrics", "motion", "noise", "normal_equations", "odometry",
-    "plots", "recordings", "robust", "se3", "simulate", "smoother", "stereo", "studies",
-    "tracking", "widgets", "window_slam",
-]
+    "batch", "belief", "drive", "ekf_slam", "error_state", "imu", "inertial", "inertial_batch", "inverse_depth",
+    "kalman", "lens", "load", "mapping", "metrics", "motion", "noise", "normal_equations", "odometry", "plots", "recordings",
+    "robust", "se3", "simulate", "smoother", "stereo", "studies", "tracking", "widgets", "window_slam"]
 
 _DEFINED_IN = {"load": "recordings", "Drive": "drive", "Noise": "noise", "StereoCamera": "stereo",
                "RightPerturbation": "error_state", "RightInvariant": "error_state", "InverseDepth": "error_state"}

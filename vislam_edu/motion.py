@@ -8,7 +8,8 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -116,6 +117,10 @@ class MotionModel(ABC):
     def predict(self, belief: Belief, k: int) -> Belief:
         """The belief at frame k + 1 before the camera update, from the one at frame k."""
 
+    def second_prediction(self, belief: Belief, k: int) -> Callable[[np.ndarray], tuple[Belief, np.ndarray]] | None:
+        """`UpdateSettings.predict_again` for the step from frame k; None where one linearisation is enough."""
+        return None
+
 
 class ImuDriven(MotionModel):
     """The report's motion model: the IMU is the input, its white noise the only thing that moves the error.
@@ -127,6 +132,7 @@ class ImuDriven(MotionModel):
     def __init__(self, drive: Drive, noise: Noise, error_state: ErrorState) -> None:
         taus = drive.taus[:, None]
         self.error_state = error_state
+        self.taus, self.samples = drive.taus, drive.step_twists
         self.increments = se3.exp(taus * drive.step_twists)
         self.body_noise = taus[..., None] * se3.right_jacobian(taus * drive.step_twists)
         self.Q = noise.twist_covariance
@@ -139,7 +145,11 @@ class ImuDriven(MotionModel):
     def transition(self, belief: Belief, k: int) -> Transition:
         """From frame k to frame k + 1."""
         after = belief.world_T_imu @ self.increments[k]
-        F, B = self.error_state.pose_transition(after, self.increments[k], self.body_noise[k])
+        return self._linearised(belief, after, self.increments[k], self.body_noise[k])
+
+    def _linearised(self, belief: Belief, after: np.ndarray, increment: np.ndarray,
+                    body_noise: np.ndarray) -> Transition:
+        F, B = self.error_state.pose_transition(after, increment, body_noise)
         n = len(belief.ids)
         return Transition(after, belief.motion, F, np.zeros((n, 3, 6)), B,
                           self.error_state.landmark_transition(belief.points, B), self.Q)
@@ -147,6 +157,28 @@ class ImuDriven(MotionModel):
     def predict(self, belief: Belief, k: int) -> Belief:
         """The belief at frame k + 1 before the camera update."""
         return propagate(belief, self.transition(belief, k))
+
+    def second_prediction(self, belief: Belief, k: int) -> Callable[[np.ndarray], tuple[Belief, np.ndarray]] | None:
+        """`predict_again`, for an error state that is `iterated`."""
+        return partial(self.predict_again, belief, k) if self.error_state.iterated else None
+
+    def predict_again(self, belief: Belief, k: int, delta: np.ndarray) -> tuple[Belief, np.ndarray]:
+        """`predict`, linearised where a first update (3n+6,) of its result led: along the sample u + n in place of u.
+
+        n is the error of the sample that explains the new pose, eta what is left of the landmarks' own correction.
+        Returns the belief there, and the error (3n+6,) that the prior's mean has there: -N n, and -eta.
+        """
+        first = self.transition(belief, k)
+        noise = np.linalg.solve(first.N_tail, delta[-6:])
+        eta = delta[:-6] - first.N_landmarks.reshape(-1, 6) @ noise
+        there = replace(belief, points=self.error_state.shifted(belief.points, eta.reshape(-1, 3)))
+        motion = self.taus[k] * (self.samples[k] + noise)
+        increment = se3.exp(motion)
+        second = self._linearised(there, belief.world_T_imu @ increment, increment,
+                                  self.taus[k] * se3.right_jacobian(motion))
+        error = np.concatenate([second.N_landmarks.reshape(-1, 6), second.N_tail]) @ -noise
+        error[:-6] -= eta
+        return propagate(there, second), error
 
 
 class TwistAndBias(MotionModel):

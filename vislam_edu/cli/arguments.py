@@ -6,6 +6,7 @@
 import argparse
 import math
 from pathlib import Path
+from typing import Any
 
 
 class OptionError(ValueError):
@@ -60,6 +61,24 @@ def add_recording(parser):
                         help="first frame to use (default: 0)")
     parser.add_argument("--to", type=whole(1), metavar="FRAME", dest="stop",
                         help="frame to stop before (default: the end)")
+
+
+SIGMAS = {"sigma_v": (0.5, "m/s", "linear velocity"), "sigma_omega": (0.05, "rad/s", "angular velocity"),
+          "sigma_px": (0.7, "px", "each pixel coordinate")}  # as `Noise` has them, unit, of what
+
+
+def add_noise(parser, *, preset=True, perfect_pixels=False):
+    """One standard deviation per sample and axis of each sensor; None where not given, if there is no preset."""
+    for name, (value, unit, what) in SIGMAS.items():
+        check = number(0, 1e3 if preset else math.inf, low_allowed=perfect_pixels or name != "sigma_px")
+        parser.add_argument(f"--{name.replace('_', '-')}", type=check, metavar=unit.upper(),
+                            default=value if preset else None, help=f"{what} (default: {value} {unit})")
+
+
+def sigmas(arguments) -> dict[str, Any]:
+    """What `add_noise` was given, by the names that `Noise` has."""
+    given = {name: getattr(arguments, name) for name in SIGMAS}
+    return {name: value for name, value in given.items() if value is not None}
 
 
 def read_recording(arguments):

@@ -13,7 +13,6 @@ import numpy as np
 from .. import metrics, recordings, se3
 from ..error_state import RightPerturbation
 from ..plots import report_figures, style
-from ..plots.graph import draw_batch
 from ..recordings.files import part_of
 from ..studies import pipeline
 
@@ -37,7 +36,7 @@ def summary(result, smoothed=None, lens=None, warnings=()) -> dict:
     alignment), ate_m (after SE(3) alignment) and KITTI drift, of the left camera as in the benchmark, NaN for drives
     under 100 m; those of dead reckoning carry its name. With a batch estimate its seconds, iterations and the same
     errors, under its name; `batch` says how it ended and what it claims, see `_ending`. Where pixels were
-    corrected, lens_px and lens_sigma_px: the numbers of that `lens.Lens`. Last, as lists of sentences, changed
+    corrected, lens_px and lens_sigma_px: the numbers of these `LensErrors`. Last, as lists of sentences, changed
     (what was done to the recording) and warnings (what speaks against the result, those given first).
     """
     drive, slam = result.drive, result.slam
@@ -159,7 +158,7 @@ def write(result, folder, smoothed=None, lens=None, warnings=()):
     without calibration error; calibration_covariance: that error alone, where it was asked for), and the landmarks (m,
     world) that the filter used, with ids and covariances. fig1_... to fig7_... .png. smoothed : `pipeline.Smoothed` or
     None; its poses and landmarks are then in result.npz too, and fig8_batch.png compares the paths. lens :
-    `lens.Lens` that corrected the pixels, or None; it is written to lens.json. warnings : sentences that come before
+    `LensErrors` that corrected the pixels, or None; it is written to lens.json. warnings : sentences that come before
     those of the result.
     """
     folder, drive, slam = Path(folder), result.drive, result.slam
@@ -190,7 +189,7 @@ def write(result, folder, smoothed=None, lens=None, warnings=()):
                                         "batch_landmarks": smoothed.solution.estimate.landmarks}),
     )
     if smoothed is not None:
-        draw_batch(result, smoothed.solution.estimate.world_T_imu).savefig(folder / "fig8_batch.png", **PNG)
+        report_figures.batch(result, smoothed.solution.estimate.world_T_imu).savefig(folder / "fig8_batch.png", **PNG)
     for name, draw in report_figures.FIGURES.items():
         draw(result).savefig(folder / f"{name}.png", **PNG)
     return numbers

@@ -3,7 +3,7 @@
 import sys
 from pathlib import Path
 
-from .arguments import OptionError, add_recording, ground_truth_doubts, number, read_recording, whole
+from .arguments import OptionError, add_noise, add_recording, ground_truth_doubts, number, read_recording, sigmas, whole
 
 
 def add_arguments(parser):
@@ -33,11 +33,7 @@ def add_arguments(parser):
     parser.add_argument("--out", type=Path, required=True, metavar="DIR",
                         help="folder for figures, trajectories, result.npz and summary.json; made if missing")
     noise = parser.add_argument_group("noise, one standard deviation per sample and axis")
-    noise.add_argument("--sigma-v", type=number(0), metavar="M/S", help="linear velocity (default: 0.5 m/s)")
-    noise.add_argument("--sigma-omega", type=number(0), metavar="RAD/S",
-                       help="angular velocity (default: 0.05 rad/s)")
-    noise.add_argument("--sigma-px", type=number(0, low_allowed=False), metavar="PX",
-                       help="each pixel coordinate (default: 0.7 px)")
+    add_noise(noise, preset=False)
     noise.add_argument("--imu-noise", type=number(0, low_allowed=False), nargs=4,
                        metavar=("GYRO", "ACC", "GYRO_WALK", "ACC_WALK"),
                        help="of gyro and accelerometer, see imu.ImuNoise: their densities, rad/s and m/s^2 per root "
@@ -66,8 +62,7 @@ def noise_from(arguments, base):
     """`base` with the values given on the command line in place of its own."""
     import dataclasses
 
-    given = {key: getattr(arguments, key) for key in ("sigma_v", "sigma_omega", "sigma_px")}
-    return dataclasses.replace(base, **{key: value for key, value in given.items() if value is not None})
+    return dataclasses.replace(base, **sigmas(arguments))
 
 
 def prepare(arguments):
@@ -128,13 +123,13 @@ def error_state_of(arguments):
 
 
 def correct_lens(arguments, drive, noise):
-    """The drive with its pixels corrected, the `lens.Lens` that did it, and warnings of its estimate."""
-    from ..studies import lens, pipeline
+    """The drive with its pixels corrected, the `LensErrors` that did it, and warnings of its estimate."""
+    from ..studies import lens_errors, pipeline
 
     if arguments.lens_from:
-        found, warnings = lens.load(arguments.lens_from), []
+        found, warnings = lens_errors.load(arguments.lens_from), []
     else:
-        found, smoothed = lens.estimate(pipeline.batch_of_real_drive(drive, noise, scale_sigma=0.05))
+        found, smoothed = lens_errors.estimate(pipeline.batch_of_real_drive(drive, noise, scale_sigma=0.05))
         warnings = [f"lens: {warning}" for warning in smoothed.warnings]
     if not arguments.quiet:
         print(found, end="\n\n")

@@ -13,7 +13,8 @@ def add_arguments(parser):
                         help="a folder of KITTI's or EuRoC's layout, two folders (left, right), the course's "
                              "_imgs.npy, or two videos (these need imageio)")
     parser.add_argument("--calibration", nargs="+", type=Path, required=True, metavar="FILE",
-                        help="KITTI's calib.txt, EuRoC's two yaml files (left, right), or a recording of the course")
+                        help="KITTI's calib.txt or calib_cam_to_cam.txt, EuRoC's two yaml files (left, right), or a "
+                             "recording of the course")
     imu = parser.add_mutually_exclusive_group(required=True)
     imu.add_argument("--imu", type=Path, metavar="FILE",
                      help="velocities: a recording of the course, or rows of time, linear and angular velocity")
@@ -56,7 +57,7 @@ def run(arguments):
     if arguments.out.suffix != ".npz":
         raise OptionError(f"{arguments.out}: expected a name that ends in .npz")
     pairs = images.open_pairs(arguments.images)
-    rig, make = images.open_calibration(arguments.calibration)
+    rig, make = images.open_calibration(arguments.calibration, pairs.first)
     if arguments.imu:
         imu_times, twists = images.open_imu(arguments.imu)
     elif pairs.times is None:

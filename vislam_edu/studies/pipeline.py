@@ -217,7 +217,7 @@ def run_pipeline(drive, noise, error_state=None, *, gate=0.99, min_disparity=1.0
         drive = inertial.in_world_of_estimate(drive, dead_reckoning.world_T_imu)
     poses = dead_reckoning.world_T_imu
     initial = first_sight(drive, noise, poses, min_disparity)
-    steps = mapping.run(drive, noise, poses, mapping.as_report, gate=1, min_disparity=min_disparity)
+    steps = mapping.run(drive, noise, poses, mapping.report_prior, gate=1, min_disparity=min_disparity)
     mapped = collect_mapping(progress(steps, total=drive.n_frames, desc="mapping", unit="frame"))
     options = {"noise": noise, "error_state": error_state or RightPerturbation(), "gate": gate,
                "min_disparity": min_disparity, **options}

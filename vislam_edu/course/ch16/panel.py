@@ -6,7 +6,7 @@ from ... import imu
 from ...plots import two_digits
 from ...plots.style import COLOURS
 from ...widgets.canvas import Decades, Number, Picture
-from ...widgets.panels import LETTERING, add_axes, legend_above
+from ..panels import LETTERING, add_axes, legend_above
 
 TIMES = np.linspace(0, 20, 101)  # s
 SOURCES = ("gyro noise", "accel. noise", "gyro bias", "accel. bias")
