@@ -29,12 +29,23 @@ def start(noise: Noise, world_T_imu: np.ndarray | None = None, point_shape: tupl
     return Belief(T, np.empty((0, *point_shape)), np.empty(0, dtype=int), np.array(noise.initial_pose_covariance))
 
 
-def retract(belief: Belief, delta: np.ndarray, covariance: np.ndarray, error_state: ErrorState) -> Belief:
-    """The belief moved by an estimated error delta (3n+6+t,), with its new covariance."""
+RetractMotion = Callable[[Belief, np.ndarray], np.ndarray]
+
+
+def add(belief: Belief, delta: np.ndarray) -> np.ndarray:
+    """What a motion model estimates beyond the pose, (t,), after an error delta (6+t,), [pose, motion]: a sum."""
+    return belief.motion + delta[6:]
+
+
+def retract(belief: Belief, delta: np.ndarray, covariance: np.ndarray, error_state: ErrorState,
+            retract_motion: RetractMotion = add) -> Belief:
+    """The belief moved by an estimated error delta (3n+6+t,), with its new covariance.
+
+    retract_motion : `MotionModel.retract_motion` of what moves the car.
+    """
     end = belief.pose.stop
     T, points = error_state.retract(belief.world_T_imu, belief.points, delta[:end])
-    values = error_state.retract_motion(belief.world_T_imu, belief.motion, delta[end - 6:])
-    return Belief(T, points, belief.ids, covariance, values)
+    return Belief(T, points, belief.ids, covariance, retract_motion(belief, delta[end - 6:]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,6 +104,7 @@ class MotionModel(ABC):
     """Interface of what moves the car; made of a Drive, a Noise and an `ErrorState`, which it may extend."""
 
     error_state: ErrorState
+    retract_motion: RetractMotion = staticmethod(add)
 
     @abstractmethod
     def __init__(self, drive: Drive, noise: Noise, error_state: ErrorState) -> None: ...

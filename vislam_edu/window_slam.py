@@ -37,6 +37,7 @@ class UpdateSettings:
     min_disparity : px, below it a new landmark waits for a better view.
     predict_again : from a first correction of the prior to the prior once more, linearised there, and the error that
         the prior's mean has there; None: a frame is linearised once. See `motion.ImuDriven.predict_again`.
+    retract_motion : see `motion.retract`.
     """
 
     camera: StereoCamera
@@ -45,6 +46,7 @@ class UpdateSettings:
     threshold: float
     min_disparity: float
     predict_again: Callable[[np.ndarray], tuple[Belief, np.ndarray]] | None = None
+    retract_motion: motion.RetractMotion = motion.add
 
 
 Frame = tuple[Belief, Belief, Innovation]
@@ -110,7 +112,7 @@ def apply_update(prior: Belief, H: Linearised, residual: np.ndarray, settings: U
         return prior
     delta, covariance = blockwise.absorb(prior.covariance, *H.blocks(len(prior.ids)), stereo.reduce_rows(residual),
                                          _variance(residual, settings))
-    return motion.retract(prior, delta + error, covariance, settings.error_state)
+    return motion.retract(prior, delta + error, covariance, settings.error_state, settings.retract_motion)
 
 
 def _variance(residual: np.ndarray, settings: UpdateSettings) -> np.ndarray:
@@ -126,6 +128,7 @@ def relinearise(prior: Belief, H: Linearised, innovation: Innovation,
     they are: a landmark behind the camera there is left out.
     Source: Bell, Cathey, The iterated Kalman filter update as a Gauss-Newton method, 1993.
     """
+    assert settings.predict_again is not None
     good, n = innovation.accepted, len(prior.ids)
     residual = innovation.residual[good]
     first = blockwise.correction(prior.covariance, *H.only(good).blocks(n), stereo.reduce_rows(residual),
@@ -280,7 +283,8 @@ def run(drive: Drive, noise: Noise, error_state: ErrorState | None = None, *,
         raise ValueError(f"min_disparity must be >= 0 px, got {min_disparity!r}")
     error_state = error_state or RightPerturbation()
     model = motion_model(drive, noise, error_state)
-    settings = UpdateSettings(drive.camera, noise, model.error_state, kalman.gate_threshold(gate), min_disparity)
+    settings = UpdateSettings(drive.camera, noise, error_state, kalman.gate_threshold(gate), min_disparity,
+                              retract_motion=model.retract_motion)
     posterior = after.posterior if after else model.start(world_T_imu)
     # Matrices of a few hundred rows: the threads of one product would wait for each other longer than they work.
     blas = ThreadpoolController()
