@@ -15,14 +15,6 @@ def _rates(rng):
     yield "two axes unrelated", (gyro, seen)
 
 
-def _signs(correlation, least=0.5):
-    return np.where(np.abs(correlation) > least, np.sign(correlation), 0.0)
-
-
-def _correlation(gyro, seen):
-    return np.array([np.corrcoef(gyro[:, i], seen[:, i])[0, 1] for i in range(3)])
-
-
 @exercise(chapter=8, cases=_rates, shows=[np.corrcoef], hints=[
     "A constant bias must not matter: correlate the two after subtracting the mean of each. Axis by axis.",
     "r = np.corrcoef(gyro[:, i], seen[:, i])[0, 1]; np.sign(r) where abs(r) > 0.5, else 0."])
@@ -41,16 +33,11 @@ def axis_signs(gyro, seen):
     return signs
 
 
-@axis_signs.mistake("mean not subtracted", """A correlation is taken after the mean of each signal is subtracted;
-without it the bias of the gyro decides the sign.""")
-def _(gyro, seen):
-    size = np.sqrt(np.sum(gyro**2, axis=0) * np.sum(seen**2, axis=0))
-    return _signs(np.sum(gyro * seen, axis=0) / size)
-
-
+axis_signs.slip("mean not subtracted", """A correlation is taken after the mean of each signal is subtracted; without it
+    the bias of the gyro decides the sign.""",
+    ("np.corrcoef(gyro[:, i], seen[:, i])[0, 1]",
+     "gyro[:, i] @ seen[:, i] / (np.linalg.norm(gyro[:, i]) * np.linalg.norm(seen[:, i]))"))
 axis_signs.slip("no threshold", "Where the correlation is small, chance decides its sign: return 0 there.",
-                ("0.5", "0"))
-
-
+    ("> 0.5", "> 0"))
 axis_signs.slip("turned round", "1 says that an axis agrees with the cameras, -1 that it has to be turned round.",
-                ("np.sign(r", "np.sign(-r"))
+    ("= np.sign(r)", "= -np.sign(r)"))

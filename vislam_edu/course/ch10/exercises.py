@@ -13,11 +13,6 @@ def _innovations(rng):
         yield "random", (values + 0.3,)
 
 
-def _correlation(e, mean=True):
-    e = e - e.mean() if mean else e
-    return np.sum(e[1:] * e[:-1]) / np.sum(e**2)
-
-
 @exercise(chapter=10, cases=_innovations, shows=[np.corrcoef], outputs=("correlation", "bound"), hints=[
     "Subtract the mean, multiply each value with the one before it, and add up.",
     "e = e - e.mean(); sum(e[1:] * e[:-1]) / sum(e**2); the bound is 1.96 / sqrt(n)."])
@@ -35,12 +30,8 @@ def whiteness(innovations):
 
 
 whiteness.slip("mean not subtracted", "Subtract the mean first, or a constant offset looks like a correlation.",
-               ("np.mean(innovations", "np.mean(0 * innovations"))
-
-
+    (" - np.mean(innovations)", ""))
 whiteness.slip("not divided", "Divide by the sum of squares: a correlation has no unit and lies between -1 and 1.",
-               ("np.sum(e[1:] * e[:-1]) / np.sum(e**2)", "np.sum(e[1:] * e[:-1])"))
-
-
+    (" / np.sum(e**2)", ""))
 whiteness.slip("root of n forgotten", "The scatter of a mean of n numbers falls with the root of n.",
-               ("np.sqrt(len(e))", "len(e)"))
+    ("np.sqrt(len(e))", "len(e)"))
