@@ -104,8 +104,7 @@ def stereo_pixels(rng):
     for _ in range(4):
         camera = random_camera(rng)
         pixels = camera.project(random_points_cam(rng, 6))[0]
-        pixels[1, 2] = pixels[1, 0]
-        pixels[4, 2] = pixels[4, 0] + 3.0
+        pixels[[1, 3, 4], 2] = pixels[[1, 3, 4], 0] - [0.0, 0.2, -3.0]
         yield "a zero and a negative disparity", (camera.K.copy(), camera.baseline, pixels)
 
 

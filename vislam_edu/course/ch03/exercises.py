@@ -214,7 +214,7 @@ def corrections(rng):
     yield "all accepted", (rng.normal(size=(3, 3)), np.array([0, 1, 2]), np.ones(3, bool), rng.normal(size=(3, 3)))
     for _ in range(4):
         ids = rng.choice(8, size=5, replace=False)
-        accepted = np.array([True, False, True, True, False])
+        accepted = rng.permutation([True, False, True, True, False])
         yield "random", (rng.normal(size=(8, 3)), ids, accepted, rng.normal(size=(5, 3)))
 
 

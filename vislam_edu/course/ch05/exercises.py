@@ -128,7 +128,7 @@ new_landmark.slip("put after the pose", """The order is landmarks first, then po
 
 def jacobians(rng):
     yield "one landmark", (rng.normal(size=(1, 4, 3)), rng.normal(size=(1, 4, 6)), np.array([0]), 1)
-    for rows in ([0, 1], [2, 0, 3], [1, 4, 2]):
+    for rows in ([0, 1], [2, 0, 3], [1, 4, 2, 0]):
         m = len(rows)
         yield "random", (rng.normal(size=(m, 4, 3)), rng.normal(size=(m, 4, 6)), np.array(rows), 5)
 

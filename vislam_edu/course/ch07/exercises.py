@@ -86,8 +86,9 @@ invariant_jacobian.slip("rotation and translation swapped", """The columns are [
 
 
 def corrections(rng):
-    for label, angle in [("no rotation", 0.0), ("small rotation", 0.01)] + 4 * [("random", 0.5)]:
-        T, n = random_pose(rng), 3
+    for label, angle, n in [("no rotation", 0.0, 3), ("small rotation", 0.01, 3),
+                            *(("random", 0.5, n) for n in (3, 1, 2, 4))]:
+        T = random_pose(rng)
         delta = rng.normal(size=3 * n + 6)
         delta[-3:] *= angle
         yield label, (T, random_landmarks(rng, T, n), delta)

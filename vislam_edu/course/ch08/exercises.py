@@ -6,13 +6,15 @@ from ..checks.exercise import exercise
 
 
 def _rates(rng):
-    for n in (60, 80, 120):
-        seen = rng.normal(size=(n, 3)) * rng.uniform(0.1, 2.0, size=3) + rng.normal(size=3)
-        signs = rng.choice([-1.0, 1.0], size=3)
-        gyro = signs * seen + 0.2 * seen.std(axis=0) * rng.normal(size=(n, 3)) + rng.normal(size=3)
-        yield "random", (gyro, seen)
-    gyro = np.column_stack([seen[:, 0], rng.normal(size=(n, 2))])
-    yield "two axes unrelated", (gyro, seen)
+    for correlations in ([0.9, -0.51, 0.49], [0.51, -0.49, -0.95], [-0.49, 0.3, 0.51], [0.8, 0.05, -0.05]):
+        n = int(rng.integers(60, 120))
+        gyro, seen = rng.normal(size=(2, n, 3))
+        for i, r in enumerate(correlations):
+            _, s, other = np.linalg.qr(np.column_stack([np.ones(n), seen[:, i], gyro[:, i]]))[0].T
+            size, size_seen = n**0.5 * 10.0 ** rng.uniform(-2, 1, size=2)
+            gyro[:, i] = size * (r * s + (1 - r**2)**0.5 * other) + rng.normal()
+            seen[:, i] = size_seen * s + rng.normal()
+        yield "random" if r != -0.05 else "two axes unrelated", (gyro, seen)
 
 
 @exercise(chapter=8, cases=_rates, shows=[np.corrcoef], hints=[

@@ -8,7 +8,7 @@ from ..checks.inputs import random_covariance
 
 
 def maps(rng):
-    for n, i, j in ((2, 0, 1), (4, 3, 1), (5, 0, 4)):
+    for n, i, j in ((6, 3, 1), (5, 0, 4), (7, 2, 5)):
         yield "random", (rng.normal(size=(n, 3)), random_covariance(rng, 3 * n), i, j)
 
 
@@ -35,7 +35,7 @@ pair_covariance.slip("one cross term twice", """P_ij and P_ji are transposes of 
 
 
 def _pairs_of(rng):
-    for n, pairs in ((4, [(0, 2)]), (6, [(0, 3), (2, 4)]), (7, [(6, 0), (5, 1), (4, 2)])):
+    for n, pairs in ((4, [(0, 2)]), (6, [(0, 3), (2, 4)]), (9, [(8, 0), (5, 1), (4, 2), (7, 5)])):
         yield "random", (0.3 * rng.normal(size=(n, 3)), random_covariance(rng, 3 * n), pairs)
 
 
@@ -69,7 +69,7 @@ joint_nis.slip("k degrees of freedom", "A pair is three numbers, not one: 3k deg
 
 
 def _one_pair(rng):
-    for n, new, old in ((2, 1, 0), (4, 3, 1), (5, 2, 0)):
+    for n, new, old in ((4, 3, 1), (6, 4, 2), (5, 1, 3)):
         landmarks = rng.normal(size=(n, 3))
         landmarks[new] = landmarks[old] + 0.1 * rng.normal(size=3)
         yield "random", (landmarks, random_covariance(rng, 3 * n), new, old)
@@ -122,7 +122,8 @@ def _chains(rng):
     yield "a chain", (8, [(4, 1), (7, 4)])
     yield "a chain, last link first", (8, [(7, 4), (4, 1)])
     yield "two chains that meet", (10, [(5, 2), (6, 3), (6, 5), (9, 6)])
-    yield "random", (12, [(int(a), int(b)) for b, a in (sorted(rng.choice(12, 2, replace=False)) for _ in range(6))])
+    for n in (12, 16, 20):
+        yield "random", (n, [tuple(map(int, rng.choice(n, 2, replace=False))) for _ in range(2 * n // 3)])
 
 
 @exercise(chapter=12, cases=_chains, shows=[association.merged], hints=[

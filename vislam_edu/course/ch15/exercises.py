@@ -4,6 +4,7 @@ import numpy as np
 
 from ... import lens, tracking
 from ..checks.exercise import exercise
+from ..checks.inputs import random_calibration
 
 
 def _gradients(rng):
@@ -66,11 +67,11 @@ lucas_kanade_step.slip("gradient without the inverse", """sum g (template - seen
 
 
 def _matches(rng):
-    for n in (6, 20, 50):
+    for n, tolerance in ((6, 1.0), (20, 0.5), (50, 2.0)):
         left = rng.uniform(0, 300, (n, 2))
-        disparity = rng.choice([-3.0, 0.5, 8.0, 40.0], n)
-        rows = rng.choice([-4.0, -0.4, 0.2, 1.7], n)
-        yield "random", (np.column_stack([left, left[:, 0] - disparity, left[:, 1] - rows]), 1.0)
+        disparity = rng.choice([-3.0, 0.0, 0.5, 8.0, 40.0], n)
+        rows = tolerance * rng.choice([-4.0, -1.1, -0.9, 0.2, 0.9, 1.7], n)
+        yield "random", (np.column_stack([left, left[:, 0] - disparity, left[:, 1] - rows]), tolerance)
 
 
 @exercise(chapter=15, cases=_matches, shows=[tracking.track], hints=[
@@ -95,7 +96,7 @@ row_check.slip("columns compared", "Rows are v: entries 1 and 3. The columns dif
 
 def _turned(rng):
     for _ in range(3):
-        K, K_new = (np.array([[f, 0, 370.0], [0, f, 240.0], [0, 0, 1]]) for f in rng.uniform(400, 500, 2))
+        K, K_new = random_calibration(rng), random_calibration(rng)
         a, b, c = rng.uniform(-0.05, 0.05, 3)
         R = np.linalg.qr(np.eye(3) + np.array([[0, -c, b], [c, 0, -a], [-b, a, 0]]))[0]
         yield "random", (rng.uniform(0, 480, 2), K, R * np.sign(np.diag(R)), K_new)
