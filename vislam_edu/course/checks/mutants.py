@@ -98,7 +98,7 @@ def _changes(tree) -> list[_Change]:
                 else:
                     continue
                 found += [_Change(parent, field, index, kind, words, ast.fix_missing_locations(new))
-                          for kind, words, new in changes if ast.dump(new) != ast.dump(node)]
+                          for kind, words, new in changes]
     return found
 
 
@@ -259,7 +259,7 @@ def _of_call(node, text) -> Iterator[tuple[int, str, ast.AST]]:
 
 
 def _of_subscript(node, text) -> Iterator[tuple[int, str, ast.AST]]:
-    base, index = ast.unparse(node.value), ast.unparse(node.slice).strip("()")  # without a tuple's
+    base, index = ast.unparse(node.value), ast.unparse(node.slice)
     swaps = {":3": "3:", "3:": ":3", "n:": ":6", ":n": "6:", ":3, :3": "3:, 3:", ":3, 3:": "3:, :3", "n:, n:": ":6, :6"}
     if index in swaps:
         yield 4, _instead(text, f"{base}[{swaps[index]}]"), _expression(f"{base}[{swaps[index]}]")
