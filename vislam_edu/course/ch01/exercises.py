@@ -102,6 +102,11 @@ so3_exp.slip("no small-angle branch", "At zero rotation the formula divides 0 by
     ("if t < 1e-6:\n        return np.eye(3) + S\n    ", ""))
 so3_exp.slip("degrees", "phi is in radians; np.deg2rad or np.radians has no place here.",
     ("t = ", "phi = np.radians(phi)\n    t = "))
+so3_exp.slip("small angles taken for none", """The special case is for angles at which 1 - cos t loses its digits, 1e-6
+    rad say. A step of an IMU turns by 0.001 to 0.1 rad, which is not nothing.""", ("t < 1e-6", "t < 1e-3"),
+    ("np.eye(3) + S", "np.eye(3)"))
+so3_exp.slip("first order up to too large an angle", """I + S leaves out S S / 2, which is t^2 / 2: at 0.01 rad 5e-5 are
+    missing.""", ("1e-6", "0.05"))
 so3_exp.slip("axis not normalised", """sin t and 1 - cos t multiply the hat of the unit axis. With the hat of phi itself
     they are divided by t and t^2.""", (" / t * S", " * S"), (" / t**2", ""))
 so3_exp.slip("inverse rotation", "This is the transpose, a turn the other way: look at the sign of S.",
@@ -111,6 +116,8 @@ so3_exp.slip("np.exp of a matrix", """np.exp takes the exponential of each entry
     ("np.eye(3) + np.sin(t) / t * S + (1 - np.cos(t)) / t**2 * (S @ S)", "np.exp(S)"))
 so3_exp.slip("series cut off", "I + S + S S / 2 is the series up to its second term: good for small angles only.",
     ("np.sin(t) / t * S + (1 - np.cos(t)) / t**2 * (S @ S)", "S + S @ S / 2"))
+so3_exp.slip("series cut off after the third term", "I + S + S^2 / 2 + S^3 / 6 is good for small angles only.",
+    ("np.sin(t) / t * S + (1 - np.cos(t)) / t**2 * (S @ S)", "S + S @ S / 2 + S @ S @ S / 6"))
 
 
 @exercise(chapter=1, cases=twists, shows=[se3.exp, se3.hat, se3._angle_functions], hints=[
@@ -149,6 +156,8 @@ se3_exp.slip("degrees", "omega is in radians; np.deg2rad or np.radians has no pl
     ("xi[3:]", "np.radians(xi[3:])"))
 se3_exp.slip("first order only", "I + xi^ is only the beginning of the series; its upper left block is no rotation.",
     ("R = se3.so3_exp(omega)", "R = np.eye(3) + S"), ("V @ v", "v"))
+se3_exp.slip("series cut off", """I + X + X X / 2 with X = xi^ is good for small angles only: its upper left block is no
+    rotation.""", ("R = se3.so3_exp(omega)", "R = np.eye(3) + S + S @ S / 2"), ("if t > 1e-6:", "if False:"))
 
 
 # --- Adjoint and Jacobian ---------------------------------------------------------------------------------
@@ -184,6 +193,8 @@ adjoint.slip("R p^ in place of p^ R", """p is expressed in frame a, so it acts a
     R.""", ("se3.so3_hat(p) @ R", "R @ se3.so3_hat(p)"))
 adjoint.slip("of the inverse pose", "This is the Adjoint of T^-1: it takes twists from frame a to frame b.",
     ("return A", "return np.linalg.inv(A)"))
+adjoint.slip("rotation's own block forgotten", """A turn expressed in frame b has to be turned into frame a as well: R
+    stands lower right too.""", ("A[3:, 3:] = R", "A[3:, 3:] = np.eye(3)"))
 
 
 def jacobian_twists(rng):
@@ -233,6 +244,8 @@ left_jacobian.slip("exponential series", "The terms are divided by (n+1)!, not b
     ("(n + 1)", "n"))
 left_jacobian.slip("series cut off", """Two or three terms are not enough for a turn of a radian: add terms until they
     no longer matter.""", ("30", "3"))
+left_jacobian.slip("divided by n + 1, not its factorial", """The term X^n is divided by (n + 1)!: each term by n + 1
+    more than the one before it.""", ("J = J + term", "J = J + term / (n + 1)"), ("term @ X / (n + 1)", "term @ X"))
 
 
 # --- motion -----------------------------------------------------------------------------------------------
@@ -312,6 +325,16 @@ predict_covariance.slip("world and body mixed", """F = I belongs to an error exp
 predict_covariance.slip("F^T P F", "An error F e has the covariance F P F^T: the transpose stands on the right.",
     ("F @ covariance @ F.T", "F.T @ covariance @ F"))
 predict_covariance.slip("no noise added", "Without B Q B^T the filter never becomes less sure.", (" + B @ Q @ B.T", ""))
+predict_covariance.slip("Q added as it is", """Q is the covariance of a sample of the twist, not of the pose. An error
+    of the twist moves the pose by B = tau J_r: add B Q B^T.""", ("B @ Q @ B.T", "Q"))
+predict_covariance.slip("tau Q added", """An error of the twist moves the pose by tau times itself, so the variance has
+    tau^2: add B Q B^T.""", ("B @ Q @ B.T", "tau * Q"))
+predict_covariance.slip("tau forgotten in F", "A twist is a velocity: the step is tau times the twist, in F as in B.",
+    ("exp(-tau * twist)", "exp(-twist)"))
+predict_covariance.slip("J_r of the twist", """B is tau J_r(tau u): the Jacobian belongs to the step, which is tau times
+    the twist.""", ("right_jacobian(tau * twist)", "right_jacobian(twist)"))
+predict_covariance.slip("noise carried along by F", """B expresses the noise in the body frame at the end of the step
+    already: F acts on P alone.""", ("F @ covariance @ F.T + B @ Q @ B.T", "F @ (covariance + B @ Q @ B.T) @ F.T"))
 
 
 def datasheets(rng):
@@ -350,8 +373,9 @@ datasheet_noise.slip("divided by 3600", """An hour has 3600 seconds, but the uni
 datasheet_noise.slip("density taken for sigma", """tau^2 density^2 takes the density for the sigma of one sample. That
     sigma is density times sqrt(rate): the faster the samples, the noisier each of them.""",
     ("velocity_density * np.sqrt(rate)", "velocity_density"), ("gyro_density * np.sqrt(rate)", "gyro_density"))
-datasheet_noise.slip("rate squared", """sigma of one sample is density times sqrt(rate), so its variance has the rate
-    once, not squared.""", ("velocity_density * np.sqrt(rate)", "velocity_density * rate"),
+datasheet_noise.slip("no rate left in W", """The sigma of one sample is density times sqrt(rate), so its variance has
+    the rate once, and W has the density squared divided by the rate: the longer a step, the larger W.""",
+    ("velocity_density * np.sqrt(rate)", "velocity_density * rate"),
     ("gyro_density * np.sqrt(rate)", "gyro_density * rate"))
 datasheet_noise.slip("covariance of a sample", """This is the covariance of one IMU sample, Q. W is that of one step of
     the pose: tau^2 Q.""", ("tau = 1 / rate", "tau = 1"))
@@ -359,3 +383,7 @@ datasheet_noise.slip("not squared", "W holds variances: square the densities.",
     ("tau**2 * sigma_v**2", "tau * velocity_density"), ("tau**2 * sigma_omega**2", "tau * gyro_density"))
 datasheet_noise.slip("rotation and translation swapped", "The order is [position, rotation]: velocity first.",
     ("W[:3, :3]", "W[-3:, -3:]"), ("W[3:, 3:]", "W[:3, :3]"))
+datasheet_noise.slip("degrees of radians", """np.degrees goes from radians to degrees. Here it is the other way:
+    np.radians.""", ("np.radians", "np.degrees"))
+datasheet_noise.slip("sigmas not squared", "W holds variances: tau^2 sigma^2.", ("sigma_v**2", "sigma_v"),
+    ("sigma_omega**2", "sigma_omega"))

@@ -150,6 +150,8 @@ triangulate.slip("baseline forgotten", "f_u / d has no unit; times the baseline 
     ("K[0, 0] * baseline / d", "K[0, 0] / d"))
 triangulate.slip("principal point forgotten", "u is counted from the corner of the image; the axis is at c_u, c_v.",
     ("(u_left - K[0, 2])", "u_left"), ("(v_left - K[1, 2])", "v_left"))
+triangulate.slip("mask the other way round", "ok says which measurements are points: True where d > 0.",
+    ("d > 0", "d <= 0"))
 
 
 def points_and_sigma(rng):
@@ -188,3 +190,6 @@ triangulation_covariance.slip("v_right left out", """All four numbers carry nois
     known better than with one.""", ("H.T @ H", "H[:3].T @ H[:3]"))
 triangulation_covariance.slip("propagated through H", """H V H^T takes a covariance of a point to pixels. The way back
     is (H^T V^-1 H)^-1.""", ("np.linalg.inv(H.T @ H)", "H.T @ H"))
+triangulation_covariance.slip("third column divided once", "d (x / z) / d z is -x / z^2: the depth enters squared.",
+    ("-f_u * x / z**2", "-f_u * x / z"), ("[0, f_v / z, -f_v * y / z**2],\n", "[0, f_v / z, -f_v * y / z],\n"),
+    ("(x - baseline) / z**2", "(x - baseline) / z"), ("-f_v * y / z**2]])", "-f_v * y / z]])"))

@@ -50,6 +50,11 @@ project.slip("no baseline", "u_right is not u_left: the right camera is moved by
     ("np.ones(len(z))", "np.zeros(len(z))"))
 project.slip("principal point forgotten", "Pixels are counted from the corner of the image: add c_u and c_v.",
     ("(q / q[2])).T", "(q / q[2])).T - camera.K_s[:, 2]"))
+project.slip("divided by the distance", """The depth is the coordinate along the optical axis, q_3, not the distance to
+    the point.""", ("q / q[2]", "q / np.linalg.norm(q[:3], axis=0)"))
+project.slip("all divided by the first depth", "Each point is divided by its own depth.", ("q / q[2]", "q / q[2, 0]"))
+project.slip("columns in another order", "The order is u_left, v_left, u_right, v_right.",
+    ("(q / q[2])).T", "(q / q[2])).T[:, [0, 2, 1, 3]]"))
 
 
 def one_point(rng):
@@ -85,6 +90,10 @@ projection_jacobian.slip("third column forgotten", """Moving a point away moves 
 projection_jacobian.slip("third row not zero", """The third entry of q / q_3 is always 1: its derivative is zero, by q_3
     too.""", ("[0, 0, 0, 0]", "[0, 0, 1 / z, 0]"))
 projection_jacobian.slip("K_s forgotten", "This is dpi/dq alone; the pixels are K_s pi(q).", ("camera.K_s @ D", "D"))
+projection_jacobian.slip("1/z once in the rows of x and y", """d (x / z) / d z = -x / z^2: the depth enters squared in
+    all rows, not only in the last.""", ("-x / z**2", "-x / z"), ("-y / z**2", "-y / z"))
+projection_jacobian.slip("sign of x and y in the third column", """d (x / z) / d z = -x / z^2, negative as in the last
+    row.""", ("-x", "x"), ("-y", "y"))
 
 
 def one_landmark(rng):
@@ -123,6 +132,11 @@ landmark_jacobian.slip("imu_T_cam in place of cam_T_imu", "From the IMU to the c
     ("@ camera.cam_T_imu", "@ camera.imu_T_cam"))
 landmark_jacobian.slip("taken at the point in the IMU frame", """dpi/dq is taken at q, the point in the camera frame,
     depth along z. In the IMU frame z points up.""", ("jacobian(q)", "jacobian(s)"))
+landmark_jacobian.slip("R^T and the extrinsics exchanged", """From the world to the camera: R^T first, then cam_T_imu.
+    The first acts first, so it stands on the right.""",
+    ("camera.cam_T_imu[:3, :3] @ R.T\n", "R.T @ camera.cam_T_imu[:3, :3]\n"))
+landmark_jacobian.slip("projection alone", """This is the derivative by the point in the camera frame. The landmark is
+    in the world: cam_T_imu and R^T follow.""", ("J @ camera.cam_T_imu[:3, :3] @ R.T", "J"))
 
 
 # --- Kalman update ----------------------------------------------------------------------------------------

@@ -116,3 +116,10 @@ pose_update.slip("sigma not squared", "V holds variances: sigma_px squared.", ("
 pose_update.slip("position and rotation taken for independent", """Only the diagonal blocks of the covariance were used:
     what the cameras say about the rotation also tells something about the position.""",
     ("K = ", "covariance = covariance * np.kron(np.eye(2), np.ones((3, 3)))\n    K = "))
+pose_update.slip("landmark by landmark", """Each landmark was linearised at the pose that the one before it had left.
+    All measurements of a frame are of one moment: linearise all at the predicted pose and stack them.""",
+    ("predicted = ",
+     "if len(pixels) > 1:\n"
+     "        first = pose_update(camera, world_T_imu, covariance, landmarks[:1], pixels[:1], sigma_px)\n"
+     "        return pose_update(camera, *first, landmarks[1:], pixels[1:], sigma_px)\n"
+     "    predicted = "))

@@ -58,6 +58,8 @@ predict_joint.slip("chained indexing updates a copy", """P[rows][:, columns] = .
     ("return P", "return covariance"))
 predict_joint.slip("pose taken to come first", """The state is ordered landmarks first, then pose: the pose is the last
     six.""", ("A[n:, n:]", "A[:6, :6]"), ("P[n:, n:]", "P[:6, :6]"), of=_by_one_matrix)
+predict_joint.slip("noise carried along by F", """W is expressed in the body frame at the end of the step already: F
+    P_RR F^T + W.""", ("F @ covariance[n:, n:] @ F.T + W", "F @ (covariance[n:, n:] + W) @ F.T"))
 
 
 # --- a new landmark ---------------------------------------------------------------------------------------
@@ -122,6 +124,10 @@ new_landmark.slip("world and body mixed", """[I, -m^] belongs to a perturbation 
 new_landmark.slip("put after the pose", """The order is landmarks first, then pose: the new landmark goes in front of
     the pose.""", ("n + 3:n + 9", "n:n + 6"), ("P[n:n + 3, old]", "P[n + 6:, old]"),
     ("P[old, n:n + 3]", "P[old, n + 6:]"), ("P[n:n + 3, n:n + 3]", "P[n + 6:, n + 6:]"))
+new_landmark.slip("turned the other way", "From the IMU into the world goes R, so C becomes R C R^T.",
+    ("R @ C @ R.T", "R.T @ C @ R"))
+new_landmark.slip("landmark in the world in place of s", """G = R [I, -s^] with s in the IMU frame: the pose turns about
+    the IMU, not about the world's origin.""", ("so3_hat(point_imu)", "so3_hat(R @ point_imu + p)"))
 
 
 # --- update -----------------------------------------------------------------------------------------------

@@ -36,6 +36,8 @@ process_noise.slip("sigmas not squared", "A covariance holds variances: sigma sq
 process_noise.slip("order [omega, v]", "The twist is [v, omega]: the velocity's three entries come first.",
     ("[sigma_v**2] * 3 + [sigma_omega**2] * 3", "[sigma_omega**2] * 3 + [sigma_v**2] * 3"))
 process_noise.slip("degrees", "sigma_omega is in rad/s already.", ("sigma_omega**2", "np.radians(sigma_omega)**2"))
+process_noise.slip("velocity and rotation in turn", """The order is all three of the position, then all three of the
+    rotation.""", ("[sigma_v**2] * 3 + [sigma_omega**2] * 3", "[sigma_v**2, sigma_omega**2] * 3"))
 
 
 def errors(rng):
@@ -111,3 +113,7 @@ chi2_band.slip("normal approximation", """dof +- z sqrt(2 dof / N) is what the b
     is lopsided. Use the chi-square quantiles.""",
     ("chi2\n", "chi2, norm\n"), ("return low, high",
      "half = norm.ppf((1 + probability) / 2) * np.sqrt(2 * dof / runs)\n    return dof - half, dof + half"))
+chi2_band.slip("degrees of freedom and runs added", """The sum of N numbers with dof degrees of freedom each has N dof
+    of them.""", ("chi2.ppf(tail, dof * runs)", "chi2.ppf(tail, dof + runs)"),
+    ("chi2.ppf(1 - tail, dof * runs)", "chi2.ppf(1 - tail, dof + runs)"))
+chi2_band.slip("always 95 %", "The probability is an argument.", ("1 - probability", "1 - 0.95"))

@@ -48,6 +48,8 @@ invariant_noise.slip("p^ R of the Adjoint forgotten", """The error turns about t
     ("se3.adjoint(world_T_imu)", "np.kron(np.eye(2), world_T_imu[:3, :3])"))
 invariant_noise.slip("Adjoint of the inverse", """From the body into the world goes Ad(world_T_imu), not that of its
     inverse.""", ("adjoint(world_T_imu)", "adjoint(se3.inverse(world_T_imu))"))
+invariant_noise.slip("relative to the car", """The error turns about the world's origin: m^ with m in the world, not m -
+    p.""", ("so3_hat(m)", "so3_hat(m - world_T_imu[:3, 3])"))
 
 
 def measurements(rng):
@@ -130,3 +132,12 @@ invariant_retract.slip("world and body mixed", """This is the right perturbation
     ("return T, np.array(moved)", "return world_T_imu @ se3.exp(delta[n:]), landmarks + delta[:n].reshape(-1, 3)"))
 invariant_retract.slip("interleaved and grouped orders mixed", """delta is x0 y0 z0 x1 y1 z1 ...: reshape(n, 3), not
     reshape(3, n).T.""", ("delta[:n].reshape(-1, 3)", "delta[:n].reshape(3, -1).T"))
+invariant_retract.slip("landmarks only shifted", """x_R turns the whole world, landmarks included, and J_l belongs to
+    every translation: exp(x_R) m + J_l(x_R) x_m.""", ("turn @ m + J @ x_m", "m + x_m"))
+invariant_retract.slip("turned after the shift", """exp(x_R) turns the old point; the shift is not turned again but
+    multiplied by J_l.""", ("turn @ p + J @ x_p", "turn @ (p + J @ x_p)"),
+    ("turn @ m + J @ x_m", "turn @ (m + J @ x_m)"))
+invariant_retract.slip("rotation before position", "The last six of delta are [position, rotation].",
+    ("x_p, x_R =", "x_R, x_p ="))
+invariant_retract.slip("pose taken to come first", "delta is ordered landmarks first, then pose.",
+    ("delta[n:n + 3], delta[n + 3:]", "delta[:3], delta[3:6]"), ("delta[:n].reshape", "delta[6:].reshape"))

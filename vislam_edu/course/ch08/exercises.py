@@ -6,7 +6,7 @@ from ..checks.exercise import exercise
 
 
 def _rates(rng):
-    for correlations in ([0.9, -0.51, 0.49], [0.51, -0.49, -0.95], [-0.49, 0.3, 0.51], [0.8, 0.05, -0.05]):
+    for correlations in ([0.9, -0.51, 0.49], [0.51, -0.49, -0.95], [-0.49, 0.3, 0.51], [0.95, 0.05, -0.05]):
         n = int(rng.integers(60, 120))
         gyro, seen = rng.normal(size=(2, n, 3))
         for i, r in enumerate(correlations):
@@ -43,3 +43,15 @@ axis_signs.slip("no threshold", "Where the correlation is small, chance decides 
     ("> 0.5", "> 0"))
 axis_signs.slip("turned round", "1 says that an axis agrees with the cameras, -1 that it has to be turned round.",
     ("= np.sign(r)", "= -np.sign(r)"))
+axis_signs.slip("threshold too low", "The threshold is 0.5.", ("0.5", "0.4"))
+axis_signs.slip("threshold too high", """The threshold is 0.5, of the correlation r itself: r^2 is above 0.5 only from
+    0.71 on.""", ("0.5", "0.7"))
+axis_signs.slip("covariance in place of the correlation", """A covariance has a unit. Divide by both standard
+    deviations: a correlation lies between -1 and 1.""", ("np.corrcoef", "np.cov"))
+axis_signs.slip("slope in place of the correlation", """The slope of a line depends on the sizes of both signals. Divide
+    by both standard deviations.""",
+    ("np.corrcoef(gyro[:, i], seen[:, i])[0, 1]", "np.polyfit(seen[:, i], gyro[:, i], 1)[0]"))
+axis_signs.slip("correlation returned", "Return its sign, 1 or -1, where its size is above 0.5, and 0 elsewhere.",
+    ("if abs(r) > 0.5:\n            signs[i] = np.sign(r)", "signs[i] = r"))
+axis_signs.slip("1 where nothing can be said", "Where the correlation is between -0.5 and 0.5, return 0.",
+    ("np.zeros(3)", "np.ones(3)"))

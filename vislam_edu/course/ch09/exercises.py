@@ -38,3 +38,6 @@ window_cost.slip("four numbers a landmark", "v_left and v_right carry the same n
     ("3 * seen * (3 * seen", "4 * seen * (3 * seen"), ("3 * seen * (3 * so_far", "4 * seen * (3 * so_far"))
 window_cost.slip("last frame left out", "A landmark is still seen in its last frame: k <= last, not k < last.",
     ("k <= last", "k < last"))
+window_cost.slip("m squared times d", """An update with m numbers on a state of d takes m d^2 multiplications, not m^2
+    d.""", ("3 * seen * (3 * seen + 6)**2", "(3 * seen)**2 * (3 * seen + 6)"),
+    ("3 * seen * (3 * so_far + 6)**2", "(3 * seen)**2 * (3 * so_far + 6)"))

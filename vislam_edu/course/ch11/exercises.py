@@ -41,6 +41,8 @@ twist_jacobians.slip("sign of T_this", """T_this enters inverted, (T exp(e^))^-1
 twist_jacobians.slip("plus and minus the identity", """The Jacobians are -I/tau and I/tau only where the step does not
     move; a step of a metre and a turn needs J_l^-1 and J_r^-1.""",
     ("np.linalg.inv(se3.left_jacobian(step))", "np.eye(6)"), ("np.linalg.inv(se3.right_jacobian(step))", "np.eye(6)"))
+twist_jacobians.slip("Jacobians of the twist", """The Jacobians belong to tau xi, the logarithm itself; the division by
+    tau stands outside.""", ("T_next)", "T_next) / tau"))
 
 
 def systems(rng):
@@ -104,6 +106,8 @@ marquardt_step.slip("identity in place of the diagonal", """That is Levenberg's 
 marquardt_step.slip("whole matrix raised", "(1 + lambda) H only shortens the step. Only the diagonal is raised.",
     ("damping * D", "damping * H"))
 marquardt_step.slip("no damping", "The damping is not used: this is Gauss-Newton.", ("H + damping * D", "H"))
+marquardt_step.slip("diagonal replaced", """The diagonal is raised, not replaced: (1 + lambda) diag(H), so H + lambda
+    diag(H).""", ("H + damping", "H - D + damping"))
 
 
 def residuals(rng):

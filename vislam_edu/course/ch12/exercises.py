@@ -32,6 +32,8 @@ pair_covariance.slip("plus for minus", """That is the covariance of the sum. In 
     minus P_ij and minus P_ji.""", ("- P[a, b] - P[b, a]", "+ P[a, b] + P[b, a]"))
 pair_covariance.slip("one cross term twice", """P_ij and P_ji are transposes of each other, not equal: subtract each
     once, or S is not symmetric.""", ("P[b, a]", "P[a, b]"))
+pair_covariance.slip("steps of one", "Landmark i has the rows 3i to 3i + 2.", ("3 * i, 3 * i + 3", "i, i + 3"),
+    ("3 * j, 3 * j + 3", "j, j + 3"))
 
 
 def _pairs_of(rng):
@@ -66,6 +68,14 @@ joint_nis.slip("3 degrees of freedom", """k pairs are 3k numbers: the gate has 3
     away right pairs as soon as there are several.""", ("len(d)", "3"))
 joint_nis.slip("k degrees of freedom", "A pair is three numbers, not one: 3k degrees of freedom.",
     ("len(d)", "len(pairs)"))
+joint_nis.slip("mean over the pairs", """The NIS is the sum, d^T S^-1 d, which the threshold for 3k degrees of freedom
+    belongs to.""", ("inv(S) @ d", "inv(S) @ d / len(pairs)"))
+joint_nis.slip("mean over the numbers", """The NIS is the sum, d^T S^-1 d, which the threshold for 3k degrees of freedom
+    belongs to. Do not divide by 3k.""", ("inv(S) @ d", "inv(S) @ d / len(d)"))
+joint_nis.slip("threshold of another probability", """Right pairs stay below the threshold with probability 0.99, not
+    0.95.""", ("0.99", "0.95"))
+joint_nis.slip("threshold of 1 %", """Right pairs are to stay *below* with probability 0.99: the quantile of 0.99, not
+    of 0.01.""", ("0.99", "0.01"))
 
 
 def _one_pair(rng):
@@ -114,6 +124,8 @@ fuse_pair.slip("both rows kept", """After the update the two rows hold the same 
 fuse_pair.slip("old row dropped, nothing learned", """Dropping the old row is marginalising: it forgets what the place
     was known to be. First the update, then the row goes.""",
     ("covariance @ H.T @ np.linalg.inv(S)", "np.zeros((3 * n, 3))"))
+fuse_pair.slip("noise added", """The two are one place exactly: the measurement m_new - m_old = 0 has no noise, S = H P
+    H^T.""", ("S = H @ covariance @ H.T", "S = H @ covariance @ H.T + np.eye(3)"))
 
 
 def _chains(rng):
@@ -148,3 +160,17 @@ merge_ids.slip("only in the order of the pairs", """The old id's place is looked
     ("place[(place == a) | (place == b)] = min(a, b)", "place[new] = b"))
 merge_ids.slip("largest id", "The place is named by its smallest id, the first that was seen.",
     ("min(a, b)", "max(a, b)"))
+merge_ids.slip("both ids changed, others not", """All landmarks that have been joined to either of the two change with
+    them, not only these two: replace the place of everyone at place a or b.""",
+    ("place[(place == a) | (place == b)] = min(a, b)", "place[new] = place[old] = min(a, b)"))
+merge_ids.slip("smaller of the pair's ids", """The ids of a pair may have been joined to smaller ones before: compare
+    their places, and change all that are there.""",
+    ("place[(place == a) | (place == b)] = min(a, b)", "place[new] = place[old] = min(new, old)"))
+merge_ids.slip("place of the old id not followed", """The old id may itself have another place: take place[old], not
+    old.""", ("place[(place == a) | (place == b)] = min(a, b)", "place[place == a] = old"))
+merge_ids.slip("named by the new id", """The place is named by its smallest id, and both of a pair may have been joined
+    to others before.""", ("place[(place == a) | (place == b)] = min(a, b)", "place[place == b] = new"))
+merge_ids.slip("only those at the new id", "Those at place[new] move, which need not be new itself any more.",
+    ("place[(place == a) | (place == b)] = min(a, b)", "place[place == new] = b"))
+merge_ids.slip("places numbered anew", """The place is named by its smallest id; numbers 0, 1, 2, ... without gaps are
+    other names.""", ("return place", "return np.unique(place, return_inverse=True)[1]"))

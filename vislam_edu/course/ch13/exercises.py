@@ -527,6 +527,16 @@ curved_mean.slip("right camera taken for the left", "The right camera sees x - b
 
 curved_mean.slip("depth alone", """h'' has entries beside the diagonal too, and x and z are correlated, because a
 landmark is uncertain along its ray.""", ("= covariance", "= np.diag(np.diag(covariance))"))
+curved_mean.slip("cross term halved", "C_xz stands in C twice, as C_xz and C_zx: half the trace has it once in full.",
+    ("C = covariance", "C = covariance.copy()\n    C[:2, 2] = C[:2, 2] / 2"))
+curved_mean.slip("cross term twice", "Half the trace has -C_xz / z^2 once.",
+    ("C = covariance", "C = covariance.copy()\n    C[:2, 2] = 2 * C[:2, 2]"))
+curved_mean.slip("second derivative by the depth halved", """d^2 (x / z) / dz^2 = 2 x / z^3; the 2 and the half of
+    Taylor's series cancel.""", ("C = covariance", "C = covariance.copy()\n    C[2, 2] = C[2, 2] / 2"))
+curved_mean.slip("one depth too few", "d^2 (x / z) / dz^2 = 2 x / z^3: the depth enters with its third power.",
+    ("(x / z *", "(x *"), ("(y / z *", "(y *"), ("(x - baseline) / z *", "(x - baseline) *"))
+curved_mean.slip("x in place of y", "v is f y / z: its terms are those of u with y in place of x.",
+    ("y / z * C[2, 2] - C[1, 2]", "x / z * C[2, 2] - C[0, 2]"))
 
 
 @curved_mean.mistake("cross term added", "d^2 (x / z) / dx dz = -1 / z^2: the cross term is subtracted.")

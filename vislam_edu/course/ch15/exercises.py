@@ -34,6 +34,10 @@ patch_information.slip("larger eigenvalue", """The larger eigenvalue says how we
     edge has a large one too. A corner needs both, so the smaller one counts.""", ("(A)[0]", "(A)[1]"))
 patch_information.slip("mean instead of sum", """Each pixel adds information: 49 pixels know more than one. Sum, do not
     average.""", ("np.array([[uu, uv], [uv, vv]])", "np.array([[uu, uv], [uv, vv]]) / g_u.size"))
+patch_information.slip("determinant", """The determinant is the product of both eigenvalues: an edge of high contrast
+    has a large one too. Return the smaller eigenvalue.""", ("np.linalg.eigvalsh(A)[0]", "np.linalg.det(A)"))
+patch_information.slip("trace", """The trace is the sum of both eigenvalues: an edge has a large one too. Return the
+    smaller eigenvalue.""", ("np.linalg.eigvalsh(A)[0]", "np.trace(A)"))
 
 
 def _patches(rng):
@@ -92,6 +96,7 @@ row_check.slip("disparity not looked at", """A point in front of both cameras is
     > u_right. A match with a negative disparity lies behind the cameras.""", (" & (u_left > u_right)", ""))
 row_check.slip("columns compared", "Rows are v: entries 1 and 3. The columns differ by the disparity, and should.",
     ("v_left - v_right", "u_left - u_right"))
+row_check.slip("one condition is enough", "Both must hold: the rows agree *and* the disparity is positive.", ("&", "|"))
 
 
 def _turned(rng):

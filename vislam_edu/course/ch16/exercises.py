@@ -38,6 +38,14 @@ velocity_rows.slip("rotation error in the world", """-(R f)^ belongs to R_true =
     body: R exp(theta^) f, so -R f^.""",
     ("-tau * rotation @ se3.so3_hat(force)", "-tau * se3.so3_hat(rotation @ force)"))
 velocity_rows.slip("the old velocity forgotten", "v' contains v: its block is the identity.", ("np.eye", "np.zeros"))
+velocity_rows.slip("bias not turned", "The bias is expressed in the IMU frame, the velocity in the world: -tau R.",
+    ("] = -tau * rotation\n", "] = -tau * np.eye(3)\n"))
+velocity_rows.slip("force not turned", "The force is expressed in the IMU frame, the velocity in the world: -tau R f^.",
+    ("-tau * rotation @ se3", "-tau * se3"))
+velocity_rows.slip("columns of the position", "v' does not contain p. The order is [R, p, v, b_g, b_a].",
+    ("imu.VELOCITY", "imu.POSITION"))
+velocity_rows.slip("columns of the gyro's bias", "The accelerometer's bias comes last: [R, p, v, b_g, b_a].",
+    ("imu.ACCELEROMETER_BIAS", "imu.GYRO_BIAS"))
 
 
 def _gyro(rng):
@@ -67,6 +75,9 @@ rotation_bias_jacobian.slip("sign", "The bias is subtracted from the gyro: a lar
 rotation_bias_jacobian.slip("turned the wrong way", """J delta is a right perturbation of the product. It moves past the
     next factor E from left to right: exp(a^) E = E exp((E^T a)^), so E^T.""",
     ("se3.so3_exp(tau * w).T", "se3.so3_exp(tau * w)"))
+rotation_bias_jacobian.slip("new term turned as well", """J_r of a sample is a right perturbation *after* its factor
+    already: only the old J moves past it.""",
+    ("J - tau * se3.so3_right_jacobian(tau * w)", "(J - tau * se3.so3_right_jacobian(tau * w))"))
 
 
 def _tracks(rng):
