@@ -4,19 +4,13 @@ import numpy as np
 
 from ... import kalman, odometry, se3
 from ...stereo import StereoCamera
+from ..ch01.exercises import vectors
 from ..ch03.exercises import one_landmark
 from ..checks.exercise import exercise
 from ..checks.inputs import perturbed, random_camera, random_covariance, random_landmarks, random_pose
 
 
-def bare_points(rng):
-    yield "the origin", (np.zeros(3),)
-    yield "[1, 2, 3]", (np.array([1.0, 2.0, 3.0]),)
-    for _ in range(4):
-        yield "random", (rng.normal(size=3),)
-
-
-@exercise(chapter=4, cases=bare_points, shows=[se3.odot, se3.so3_hat], hints=[
+@exercise(chapter=4, cases=vectors, shows=[se3.odot, se3.so3_hat], hints=[
     "Write out hat(xi) @ [s, 1] = [omega x s + v, 0] and collect what multiplies v and what multiplies omega.",
     "[[I, -s^], [0, 0]]: omega x s is -s x omega."])
 def odot(point):
