@@ -50,7 +50,7 @@ axis_signs.slip("covariance in place of the correlation", """A covariance has a 
     deviations: a correlation lies between -1 and 1.""", ("np.corrcoef", "np.cov"))
 axis_signs.slip("slope in place of the correlation", """The slope of a line depends on the sizes of both signals. Divide
     by both standard deviations.""",
-    ("np.corrcoef(gyro[:, i], seen[:, i])[0, 1]", "np.polyfit(seen[:, i], gyro[:, i], 1)[0]"))
+    ("np.corrcoef(gyro[:, i], seen[:, i])[0, 1]", "np.cov(gyro[:, i], seen[:, i])[0, 1] / np.var(seen[:, i], ddof=1)"))
 axis_signs.slip("correlation returned", "Return its sign, 1 or -1, where its size is above 0.5, and 0 elsewhere.",
     ("if abs(r) > 0.5:\n            signs[i] = np.sign(r)", "signs[i] = r"))
 axis_signs.slip("1 where nothing can be said", "Where the correlation is between -0.5 and 0.5, return 0.",

@@ -96,6 +96,8 @@ row_check.slip("disparity not looked at", """A point in front of both cameras is
     > u_right. A match with a negative disparity lies behind the cameras.""", (" & (u_left > u_right)", ""))
 row_check.slip("columns compared", "Rows are v: entries 1 and 3. The columns differ by the disparity, and should.",
     ("v_left - v_right", "u_left - u_right"))
+row_check.slip("squares compared", "tolerance is in px: the square of a difference belongs to its square.",
+    ("np.abs(v_left - v_right)", "(v_left - v_right)**2"))
 row_check.slip("one condition is enough", "Both must hold: the rows agree *and* the disparity is positive.", ("&", "|"))
 
 
