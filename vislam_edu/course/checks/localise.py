@@ -12,7 +12,7 @@ def remarks(exercise, cases, outcomes, expected, sames) -> list[str]:
     if all(map(all, sames)):
         return []
     found = [_inputs(cases, sames)]
-    names = exercise.outputs or ("the result",)
+    names = exercise.outputs or ("your result",)
     always = [all(row[k] for row in sames) for k in range(len(names))]
     if any(always):
         right = [name for name, is_right in zip(names, always) if is_right]
@@ -34,12 +34,12 @@ def _inputs(cases, sames) -> str:
     wrong = Counter(label for (label, _), row in zip(cases, sames) if not all(row))
     if not right:
         return ""
-    return f"Right on {_listed(right, wrong)}; wrong on {_listed(wrong, right)}."
+    return f"Right on these inputs: {_listed(right, wrong)}. Wrong on these: {_listed(wrong, right)}."
 
 
 def _listed(some, others) -> str:
-    return ", ".join(f"{n} of {n + others[label]} {label}" if others[label] else f"{n} {label}" if n > 1 else label
-                     for label, n in some.items())
+    return ", ".join(f'{n} of {n + others[label]} "{label}"' if others[label] else f'{n} "{label}"' if n > 1 else
+                     f'"{label}"' for label, n in some.items())
 
 
 def _entries(name, pairs, tolerance) -> list[str]:
@@ -53,7 +53,7 @@ def _entries(name, pairs, tolerance) -> list[str]:
         return close(a, b, tolerance)
 
     if every(lambda a, b: not np.isfinite(a).all()):
-        return [f"{name} is not finite: something is divided by zero, or a root of a negative number is taken."]
+        return [f"{name[0].upper()}{name[1:]} is not finite: something is divided by zero, or a root of a negative number is taken."]
     if every(lambda a, b: like(np.abs(a), np.abs(b))):
         found.append(f"In {name} only signs are wrong{_where(pairs, tolerance)}.")
     elif every(lambda a, b: like(np.sort(a, axis=None), np.sort(b, axis=None))):
@@ -79,7 +79,7 @@ def _entries(name, pairs, tolerance) -> list[str]:
         size = "too large" if min(ratios) > 1 else "too small"
         spread = f"{min(ratios):.3g} to {max(ratios):.3g}" if max(ratios) > 1.01 * min(ratios) else f"{ratios[0]:.3g}"
         found.append(f"{name} is {size} on every input that is wrong: its size is {spread} times the right one.")
-    return found
+    return [f"{text[0].upper()}{text[1:]}" if name == "your result" else text for text in found]
 
 
 def _kind(pairs, tolerance) -> str:
@@ -110,9 +110,9 @@ def _where(pairs, tolerance) -> str:
     if not all(mask.any() for mask in masks):  # what differs lies in a part that is not compared
         return ""
     words = []
-    for axis, what in zip(range(-min(pairs[0][1].ndim, 2), 0), ("row", "column")[-min(pairs[0][1].ndim, 2):]):
-        what = "entries" if pairs[0][1].ndim == 1 else what
-        words += _range(masks, axis, what)
+    names = [("entries", "entry")] if pairs[0][1].ndim == 1 else [("columns", "column"), ("rows", "row")]
+    for axis in range(-len(names), 0):
+        words += _range(masks, [b for _, b in pairs], axis, *names[-1 - axis])
     if words:
         return f" in {', '.join(words)}"
     if pairs[0][1].ndim == 2 and all(b.shape[0] == b.shape[1] > 1 for _, b in pairs):
@@ -130,23 +130,22 @@ def _side(masks) -> str:
     return "" if any(np.triu(mask).any() for mask in masks) else ", below it"
 
 
-def _range(masks, axis, what) -> list[str]:
+def _range(masks, should, axis, what, single) -> list[str]:
     """The indices along an axis with a wrong entry, counted from the start or, where lengths differ, from the end."""
     lengths = [mask.shape[axis] for mask in masks]
-    others = [tuple(i for i in range(mask.ndim) if i != mask.ndim + axis) for mask in masks]
-    hit = [np.flatnonzero(mask.any(axis=other)) for mask, other in zip(masks, others)]
+    hit = [np.flatnonzero(mask.any(axis=tuple(i for i in range(mask.ndim) if i != mask.ndim + axis))) for mask in masks]
     first, last = min(h.min() for h in hit), max(h.max() for h in hit)
     if len(set(lengths)) > 1:
         back = max(n - h.min() for n, h in zip(lengths, hit))
         if back < max(lengths) and all(h.min() >= n - back for n, h in zip(lengths, hit)) and back <= 6:
-            return [f"the last {back} {what}s".replace("ss", "s").replace("entriess", "entries")]
+            return [f"the last {back} {what}" if back > 1 else f"the last {single}"]
         if all(h.max() < n - 6 for n, h in zip(lengths, hit)):
-            return [f"the {what}s before the last 6".replace("entriess", "entries")]
+            return [f"the {what} before the last 6"]
         return []
-    if last - first + 1 >= lengths[0]:
-        return []
-    name = what if what == "entries" else f"{what}s" if last > first else what
-    return [f"{name} {first} to {last}" if last > first else f"{name} {first}"]
+    others = [np.delete(b, np.s_[first:last + 1], axis).ravel() for b in should]
+    if all(len(np.unique(values)) <= 2 and np.array_equal(values, others[0]) for values in others):
+        return []  # all the rest is always the same, such as the last row of a pose: nothing could be wrong there
+    return [f"{what} {first} to {last}" if last > first else f"{single} {first}"]
 
 
 def _positive(matrix) -> bool:
