@@ -35,12 +35,12 @@ def close(came, should, tolerance) -> bool:
 
 
 def _shapes(exercise, name, came, should) -> str:
-    text = f"{name or 'The result'} has shape {came.shape}; it should be {should.shape}"
+    text = f"{f'The result {name}' if name else 'The result'} has shape {came.shape}; it should be {should.shape}"
     if came.shape == should.shape[::-1] and close(came.T, should, exercise.tolerance):
         return text + ". The numbers are right, but transposed."
     if came.size == should.size > 1 and close(came.reshape(should.shape), should, exercise.tolerance):
         return text + ". The numbers are right: a column where a flat vector is wanted, or the reverse?"
-    if came.shape[1:] == should.shape and not exercise.outputs:
+    if came.shape[1:] == should.shape != came.shape[:-1] and not exercise.outputs:
         return text + f". Are these {len(came)} results, of which only one is asked for?"
     if came.ndim > should.ndim:
         return text + ". Has a column (n, 1) met a row (n,) and spread to a table? A flat vector is (n,)."

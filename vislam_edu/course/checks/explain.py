@@ -7,6 +7,7 @@ input. Several results (a mean and a covariance, say) may have explanations of t
 
 import contextlib
 import itertools
+import re
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import NamedTuple
@@ -22,6 +23,7 @@ from .running import Outcome, outcome_of, within
 CANDIDATES = 3500  # tried at most; counted, so that a verdict does not depend on how busy the machine is
 LIMIT = 30.0  # s of CPU time, the last resort: the longest search takes 3 s
 SHOWN = 3  # explanations that fit alike and are listed
+VAGUE = re.compile("a part(?! of)|one variable")
 _COMMON = 2  # kinds of mutants up to this one are tried together with a second mistake
 
 
@@ -61,7 +63,7 @@ class Search:
     found: dict[int, dict[str, Candidate]] = field(default_factory=dict)
     joint: dict[str, Candidate] = field(default_factory=dict)  # explain all results, the right ones included
     level: list[tuple[Candidate, list]] = field(default_factory=list)  # candidates and their values on the probe
-    left: int = CANDIDATES
+    left: int = field(default_factory=lambda: CANDIDATES)
 
     def __post_init__(self):
         wrong = [i for i, (outcome, should) in enumerate(zip(self.outcomes, self.expected))
@@ -274,4 +276,6 @@ def explain(exercise, cases, outcomes, expected, simple=False) -> list[Explanati
 
 
 def _explanation(found: dict[str, Candidate], result: str = "") -> Explanation:
-    return Explanation(list(found)[:SHOWN], next(iter(found.values())).lines(), result)
+    """Those first that say which part it is."""
+    best = sorted(found.values(), key=lambda candidate: bool(VAGUE.search(candidate.words)))
+    return Explanation([candidate.words for candidate in best[:SHOWN]], best[0].lines(), result)

@@ -7,25 +7,27 @@ import numpy as np
 from .comparing import close
 
 
-def remarks(exercise, cases, outcomes, expected, sames) -> list[str]:
-    """Sentences about a wrong answer; sames[i][k] says whether result k of input i is right."""
+def remarks(exercise, cases, outcomes, expected, sames) -> tuple[list[str], list[str]]:
+    """Sentences about a wrong answer: where it is wrong, and what its numbers look like.
+
+    sames[i][k] says whether result k of input i is right.
+    """
     if all(map(all, sames)):
-        return []
-    found = [_inputs(cases, sames)]
+        return [], []
+    where, looks = [_inputs(cases, sames)], []
     names = exercise.outputs or ("your result",)
     always = [all(row[k] for row in sames) for k in range(len(names))]
     if any(always):
-        right = [name for name, is_right in zip(names, always) if is_right]
-        wrong = [name for name, is_right in zip(names, always) if not is_right]
-        found.append(f"{' and '.join(right)} {'is' if len(right) == 1 else 'are'} right; "
-                     f"{' and '.join(wrong)} {'is' if len(wrong) == 1 else 'are'} wrong.")
+        where.append("; ".join(f"{word}: {', '.join(name for name, is_right in zip(names, always) if is_right == kind)}"
+                               for word, kind in (("Right", True), ("wrong", False))) + ".")
     for k, name in enumerate(names):
         pairs = [(outcome.values[k], should[k]) for outcome, should, row in zip(outcomes, expected, sames)
                  if outcome.values is not None and not row[k]]
         pairs = [(a, b) for a, b in pairs if a.shape == b.shape and a.size]
         if pairs and not always[k]:
-            found += _entries(name, pairs, exercise.tolerance)
-    return [remark for remark in found if remark]
+            where += _entries(name, pairs, exercise.tolerance)
+            looks += _looks(f"The result {name}" if exercise.outputs else "Your result", pairs, exercise.tolerance)
+    return [remark for remark in where if remark], looks
 
 
 def _inputs(cases, sames) -> str:
@@ -44,6 +46,18 @@ def _listed(some, others) -> str:
 
 def _entries(name, pairs, tolerance) -> list[str]:
     """What the wrong entries of a result have in common on all inputs on which it is wrong."""
+    if any(not np.isfinite(a).all() for a, _ in pairs):
+        return []
+    if all(close(np.abs(a), np.abs(b), tolerance) for a, b in pairs):
+        return [f"In {name} only signs are wrong{_where(pairs, tolerance)}."]
+    if all(close(np.sort(a, axis=None), np.sort(b, axis=None), tolerance) for a, b in pairs):
+        return [f"In {name} all numbers are right, but some stand in the wrong place."]
+    where = _where(pairs, tolerance)
+    return [f"In {name} what is wrong lies{where}; all else is right{_kind(pairs, tolerance)}."] if where else []
+
+
+def _looks(name, pairs, tolerance) -> list[str]:
+    """What the wrong numbers look like."""
     found = []
 
     def every(test) -> bool:
@@ -53,16 +67,9 @@ def _entries(name, pairs, tolerance) -> list[str]:
         return close(a, b, tolerance)
 
     if every(lambda a, b: not np.isfinite(a).all()):
-        return [f"{name[0].upper()}{name[1:]} is not finite: something is divided by zero, or a root of a negative number is taken."]
-    if every(lambda a, b: like(np.abs(a), np.abs(b))):
-        found.append(f"In {name} only signs are wrong{_where(pairs, tolerance)}.")
-    elif every(lambda a, b: like(np.sort(a, axis=None), np.sort(b, axis=None))):
-        found.append(f"In {name} all numbers are right, but some stand in the wrong place.")
-    elif every(lambda a, b: not a.any()):
-        found.append(f"{name} is zero everywhere.")
-    elif _where(pairs, tolerance):
-        found.append(f"In {name} what is wrong lies{_where(pairs, tolerance)}; all else is right"
-                     f"{_kind(pairs, tolerance)}.")
+        return [f"{name} is not finite: something is divided by zero, or a root of a negative number is taken."]
+    if every(lambda a, b: not a.any()):
+        return [f"{name} is zero everywhere."]
     first = pairs[0][1]
     if first.ndim == 2 and first.shape[0] == first.shape[1] > 1:
         if every(lambda a, b: like(b, b.T)) and every(lambda a, b: not like(a, a.T)):
@@ -77,9 +84,10 @@ def _entries(name, pairs, tolerance) -> list[str]:
     ratios = [float(np.linalg.norm(a) / np.linalg.norm(b)) for a, b in pairs if np.any(b) and np.isfinite(a).all()]
     if ratios and (min(ratios) > 1.05 or max(ratios) < 0.95):
         size = "too large" if min(ratios) > 1 else "too small"
-        spread = f"{min(ratios):.3g} to {max(ratios):.3g}" if max(ratios) > 1.01 * min(ratios) else f"{ratios[0]:.3g}"
+        least, most = (f"{x:.0f}" if x >= 1000 else f"{x:.3g}" for x in (min(ratios), max(ratios)))
+        spread = f"{least} to {most}" if max(ratios) > 1.01 * min(ratios) else least
         found.append(f"{name} is {size} on every input that is wrong: its size is {spread} times the right one.")
-    return [f"{text[0].upper()}{text[1:]}" if name == "your result" else text for text in found]
+    return found
 
 
 def _kind(pairs, tolerance) -> str:

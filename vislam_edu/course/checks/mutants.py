@@ -124,12 +124,14 @@ class _Change:
 # --- where, and into what ---------------------------------------------------------------------------------
 
 def _changes(tree, known) -> list[_Change]:
-    """known : names that words may quote."""
+    """known : names that words may quote, those of the statement."""
     function = tree.body[0]
     names = dict.fromkeys([argument.arg for argument in function.args.args] + [
         node.id for node in ast.walk(function) if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store)])
-    said = _definitions(function, {name: f"`{name}`" for name in names if name in known})
+    said = _definitions(function, {name: f"`{name}`" for name in known})
     fixed = {id(part) for node in ast.walk(tree) for whole in _fixed(node) for part in ast.walk(whole)}
+    returned = {id(part) for node in ast.walk(tree) if isinstance(node, ast.Return)
+                for part in [node.value, *getattr(node.value, "elts", [])]}
     found = []
     for parent in ast.walk(tree):
         for field, value in ast.iter_fields(parent):
@@ -143,10 +145,10 @@ def _changes(tree, known) -> list[_Change]:
                     changes = _of_expression(node, parent, list(names))
                 else:
                     continue
-                whole = node if isinstance(parent, ast.Return) else None
-                found += [_Change(parent, field, index, kind, words.format(
-                    *("the result" if one is whole else _called(one, said) for one in nodes)),
-                    ast.fix_missing_locations(new)) for kind, words, new, nodes in changes]
+                for kind, words, new, nodes in changes:
+                    text = words.format(*("the result" if id(one) in returned else _called(one, said) for one in nodes))
+                    text = text.replace("a part in place of a part", "one variable in place of another")
+                    found.append(_Change(parent, field, index, kind, text, ast.fix_missing_locations(new)))
     return found
 
 
@@ -159,7 +161,7 @@ def _fixed(node) -> list[ast.AST]:
 
 
 def _definitions(function, said: dict[str, str]) -> dict[str, str]:
-    """Words for every variable: those of `said`, else for what is stored in it first."""
+    """Words for every name: those of `said`, and else for what is stored in the variable first."""
     for node in ast.walk(function):
         if isinstance(node, ast.Assign) and isinstance(node.targets[0], ast.Name | ast.Tuple):
             target, value = node.targets[0], node.value
@@ -180,6 +182,8 @@ def _called(node, said: dict[str, str]) -> str:
         return "a number"
     if isinstance(node, ast.Attribute) and node.attr == "T":
         return f"the transpose of {_called(node.value, said)}"
+    if isinstance(node, ast.Attribute) and node.attr in said:
+        return said[node.attr]
     if isinstance(node, ast.Subscript | ast.Attribute):
         whole = _called(node.value, said)
         return f"a part of {whole}" if whole.startswith("`") else whole
@@ -251,10 +255,12 @@ def _of_expression(node, parent, names) -> Iterator[_Found]:
 
 
 def _is_a_quantity(node, parent) -> bool:
-    """An operand, an argument, or the whole of what is stored or returned; no index, no name of a module."""
+    """An operand, an argument, or the whole of what is stored or returned; no index, no module, no transpose."""
     if isinstance(node, ast.Constant | ast.Tuple | ast.List | ast.Slice | ast.UnaryOp | ast.Compare):
         return False
-    if isinstance(node, ast.Name | ast.Attribute) and ast.unparse(node).startswith(("np", "se3", "len", "stereo")):
+    text = ast.unparse(node)
+    if isinstance(node, ast.Name | ast.Attribute) and (text.startswith(("np", "se3", "len", "stereo"))
+                                                       or text.endswith(".T")):
         return False
     return isinstance(parent, ast.BinOp | ast.Call | ast.Assign | ast.Return | ast.Tuple | ast.List) and \
         node is not getattr(parent, "func", None)

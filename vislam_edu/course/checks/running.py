@@ -167,8 +167,8 @@ def _as_yielded(states) -> list:
     """What a generator yields. Raises Unreadable where it changes afterwards what it has yielded."""
     kept = [(state, copied(state)) for state in states]
     if not all(_alike(*pair) for pair in kept):
-        raise Unreadable("an array that your function has yielded is changed by it afterwards, and whoever keeps it has "
-                         "the last state in place of each: yield a copy, or make a new array in each step")
+        raise Unreadable("your function changes an array after it has yielded it, and whoever has kept it finds the "
+                         "last state in place of each: yield a copy, or make a new array in each step")
     return [state for state, _ in kept]
 
 

@@ -30,9 +30,9 @@ def unused(exercise, function) -> str:
     tree, reference = tree_of(function), tree_of(exercise.reference)
     if tree is None or not isinstance(function, FunctionType):
         return ""
-    read = _read(tree)
-    ignored = [name for name in inspect.signature(function).parameters if name not in read
-               and name in _read(reference or ast.Module([], []))]
+    read, needed = _read(tree), _read(reference or ast.Module([], []))
+    ignored = [name for name, wanted in zip(inspect.signature(function).parameters, exercise.arguments)
+               if name not in read and wanted in needed]
     code = function.__code__
     values = {name: function.__globals__.get(name) for name in code.co_names if name in read} | dict(
         zip(code.co_freevars, (cell.cell_contents for cell in function.__closure__ or ())))

@@ -8,7 +8,7 @@ from typing import NamedTuple
 from . import localise, museum, slips, surroundings
 from .comparing import argument, differs
 from .exercise import Exercise, short
-from .explain import SHOWN, explain, same
+from .explain import VAGUE, explain, same
 from .picture import Picture, picture_of
 from .running import LIMIT, answers, arrays, copied, error_message, written
 
@@ -121,24 +121,24 @@ def _causes(exercise, function, cases, outcomes, expected, sames, random) -> _Ca
     if slip and not pieces:
         return _Causes([slip, unused], " ".join(filter(None, [slip, unused])))
     explanations = explain(exercise, cases, outcomes, expected, simple=bool(pieces))
-    where = localise.remarks(exercise, cases, outcomes, expected, sames)
+    where, looks = localise.remarks(exercise, cases, outcomes, expected, sames)
     said = [f"Most likely: {piece.name}. {piece.hint}" for piece in pieces]
-    if pieces and explanations:
-        said.append(f"The same numbers come out {_alternatives(explanations, 2)}.")
-    elif explanations:
-        said += [f"Your result is what one gets {_alternatives(explanations, SHOWN)}.", *where]
+    if pieces and (others := [words for one in explanations[:1] for words in one.words if not VAGUE.search(words)]):
+        said.append(f"The same numbers come out {', or '.join(others[:2])}.")
+    elif explanations and not pieces:
+        said += [f"Your result is what one gets {_together(explanations)}.", unused, *where]
     elif not pieces:
-        said += [unused, *([f"Perhaps: {guess.name}. {guess.hint}"] if guess else []), *where]
+        said += [unused, *([f"Perhaps: {guess.name}. {guess.hint}"] if guess else []), *where, *looks]
     named = [piece.name for piece in [*pieces, *([] if explanations else [guess])] if piece]
     named += ["; ".join(explanation.words[0] for explanation in explanations)] if explanations else [unused]
     lines = [piece.lines() for piece in pieces] + [explanation.lines for explanation in explanations]
-    return _Causes(said, named[0], bool(where), next(filter(None, lines), ""))
+    return _Causes(said, named[0], bool(where or looks), next(filter(None, lines), ""))
 
 
-def _alternatives(explanations, most) -> str:
+def _together(explanations) -> str:
     """Words for the explanations of all results together, or for one of each wrong result."""
     if len(explanations) == 1:
-        return ", or ".join(explanations[0].words[:most])
+        return ", or ".join(explanations[0].words)
     texts = ((explanation.words[0], f"(in {explanation.result})") for explanation in explanations)
     return " and ".join(text if text.endswith(name) else f"{text} {name}" for text, name in texts)
 
