@@ -277,5 +277,5 @@ def explain(exercise, cases, outcomes, expected, simple=False) -> list[Explanati
 
 def _explanation(found: dict[str, Candidate], result: str = "") -> Explanation:
     """Those first that say which part it is."""
-    best = sorted(found.values(), key=lambda candidate: bool(VAGUE.search(candidate.words)))
+    best = sorted(found.values(), key=lambda one: (bool(VAGUE.search(one.words)), "`" not in one.words))
     return Explanation([candidate.words for candidate in best[:SHOWN]], best[0].lines(), result)

@@ -154,10 +154,14 @@ def _changes(tree, known) -> list[_Change]:
 
 def _fixed(node) -> list[ast.AST]:
     """What is left alone: how often a loop runs (it might never end) and how large an array is."""
-    if isinstance(node, ast.comprehension) or (isinstance(node, ast.Subscript) and ast.unparse(node.value) == "np.r_"):
+    if isinstance(node, ast.comprehension):
+        return [node.target, *node.ifs, *([] if ast.unparse(node.iter).startswith("range(") else [node.iter])]
+    if isinstance(node, ast.Subscript) and ast.unparse(node.value) == "np.r_":
         return [node]
     called = ast.unparse(node.func) if isinstance(node, ast.Call) else ""
-    return [node] if called in ("range", "zip", "enumerate", "np.arange") else node.args if called == "np.zeros" else []
+    if called in ("zip", "enumerate", "np.arange"):
+        return [node]
+    return node.args if called in ("range", "np.zeros") else []
 
 
 def _definitions(function, said: dict[str, str]) -> dict[str, str]:
@@ -247,7 +251,8 @@ def _of_expression(node, parent, names) -> Iterator[_Found]:
                 (0, "with the sign of {} reversed", "-({})"), (2, "with {} transposed", "({}).T"),
                 (5, "with only the diagonal of {}", "np.diag(np.diag({}))"), (5, "with twice {}", "2 * ({})"),
                 (5, "with {} inverted", "np.linalg.inv({})"), (5, "with zero in place of {}", "0 * ({})"),
-                (5, "with the two halves of {} exchanged", "np.roll({}, 3, axis=-1)")]:
+                (5, "with the two halves of {} exchanged", "np.roll({}, 3, axis=-1)"),
+                (5, "without the first entry of {}", "({})[1:]"), (5, "without the last entry of {}", "({})[:-1]")]:
             yield kind, words, _expression(new.format(text)), (node,)
     if isinstance(parent, ast.Assign | ast.Return) and not isinstance(node, ast.Tuple):
         yield 5, "with the square root of {} taken", _expression(f"np.sqrt({text})"), (node,)
@@ -295,6 +300,9 @@ def _of_operation(node) -> Iterator[_Found]:
         yield 5, "with the square root of {} in place of a power", _expression(f"np.sqrt({ast.unparse(left)})"), (left,)
         for power in (3, 4):
             yield 5, f"with {{}} to the power of {power}", ast.BinOp(left, op, ast.Constant(power)), (left,)
+    if isinstance(op, ast.Mult) and isinstance(right, ast.BinOp) and isinstance(right.op, ast.Pow):
+        yield 5, "with the square on another factor", ast.BinOp(
+            ast.BinOp(left, right.op, right.right), op, right.left), ()
     if isinstance(op, ast.Mult | ast.Div | ast.MatMult) and not isinstance(right, ast.BinOp):
         yield 5, "with {} squared", ast.BinOp(left, op, ast.BinOp(right, ast.Pow(), ast.Constant(2))), (right,)
 
@@ -315,6 +323,10 @@ def _of_call(node, text) -> Iterator[_Found]:
         for dof in (1, 2, 3, 4, 6):
             yield 4, f"with {dof} degree{'s' if dof > 1 else ''} of freedom", _expression(
                 f"{function}({arguments[0]}, {dof})"), ()
+    if function == "range":
+        first, end = ["0", *arguments][-2:]
+        yield 4, "with a loop that begins one step later", _expression(f"range({first} + 1, {end})"), ()
+        yield 4, "with a loop that ends one step earlier", _expression(f"range({first}, {end} - 1)"), ()
     if function == "np.kron":
         yield 4, "with np.tile in place of np.kron", _expression(f"np.tile({arguments[1]}, (n, n))"), ()
     if function == "np.array" or function == "np.diag":
