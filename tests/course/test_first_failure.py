@@ -18,7 +18,7 @@ from vislam_edu.course.exercises import EXERCISES, check, hint
 
 
 def words(exercise):
-    return {*re.findall(r"\w+", exercise.statement), *exercise.arguments}
+    return {*re.findall(r"\w+", exercise.statement), *exercise.arguments, *exercise.outputs}
 
 
 def quoted(text):
