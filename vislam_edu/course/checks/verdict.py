@@ -1,12 +1,14 @@
 """The verdict on an answer: right, not written yet, or wrong, and then why."""
 
+import textwrap
 from collections import Counter
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
-from . import museum, right_parts, surroundings
+from . import museum, right_parts, slips, surroundings
 from .comparing import argument, differs
 from .exercise import Exercise, short
-from .explain import explain, same
+from .explain import VAGUE, explain, same
 from .picture import Picture, picture_of
 from .running import LIMIT, answers, arrays, copied, error_message, written
 
@@ -20,7 +22,7 @@ class Verdict:
     status : RIGHT, NOT_WRITTEN or WRONG. text : what the student reads. mistake : its name in the museum where
     it was recognised, else words for what gives the same numbers, else "". located : what of the result is right,
     or what its numbers look like, is said. failing : the arguments of the first input that came out wrong, else None.
-    picture : of its result there, where a result has one.
+    picture : of its result there, where a result has one. more : lines of a plain answer, for a second failure.
     """
 
     exercise: str
@@ -30,6 +32,7 @@ class Verdict:
     failing: tuple | None = None
     located: bool = False
     picture: Picture | None = None
+    more: str = ""
 
     @property
     def right(self) -> bool:
@@ -37,7 +40,7 @@ class Verdict:
 
 
 def judge(exercise: Exercise, function, limit=LIMIT) -> Verdict:
-    """Put an answer to all inputs of its exercise. limit : s, for all of them together."""
+    """Put an answer to all inputs of its exercise. limit : s of CPU time, for all of them together."""
     name = exercise.name
     if not callable(function):
         return Verdict(name, WRONG, f"{name}: give the function itself, without calling it: check.{name}({name})")
@@ -67,7 +70,10 @@ def _judged(exercise: Exercise, function, limit, rebound: list[str]) -> Verdict:
             "\n  (Your numbers have fewer than 64 bits and were compared to 1e-4; a filter needs float64.)"
         return Verdict(name, RIGHT, f"{name}: right, on {_tried(cases)}, "
                                     f"to {short(exercise.tolerance)} of the largest entry{rough}{_remarks(outcomes)}")
-    return _wrong(exercise, cases, outcomes, expected, reasons)
+    first = failing[0]
+    again, _ = answers(exercise, function, cases[first:first + 1], limit)
+    rebound += surroundings.restored()
+    return _wrong(exercise, function, cases, outcomes, expected, reasons, again[0] if again else outcomes[first])
 
 
 def _reason(exercise, outcome, expected) -> str:
@@ -75,35 +81,68 @@ def _reason(exercise, outcome, expected) -> str:
         return error_message(outcome.error)
     reason = differs(exercise, outcome, expected)
     if outcome.changed:
-        changed = f"your function changes its argument {' and '.join(outcome.changed)}: work on a copy"
-        return f"{reason}\nand {changed}" if reason else changed
+        changed = f"our function changes its argument {' and '.join(outcome.changed)}: work on a copy"
+        return f"{reason}\nand y{changed}" if reason else f"Y{changed}"
     return reason
 
 
-def _wrong(exercise, cases, outcomes, expected, reasons) -> Verdict:
+def _wrong(exercise, function, cases, outcomes, expected, reasons, again) -> Verdict:
+    """again : what a further call gave on the first input that is wrong."""
     first = next(i for i, reason in enumerate(reasons) if reason)
     label, arguments = cases[first]
-    lines = [f"{exercise.name}: wrong, on input {first + 1} of {len(cases)} ({label})"]
-    lines += [argument(*pair) for pair in zip(exercise.arguments, arguments)]
-    lines.append(reasons[first])
-    pieces, guess = museum.recognise(exercise, cases, outcomes, expected)
-    explanations = explain(exercise, cases, outcomes, expected, simple=bool(pieces))
     sames = [same(exercise, outcome, should) for outcome, should in zip(outcomes, expected)]
-    where = right_parts.remarks(exercise, cases, outcomes, expected, sames)
-    lines += [f"Most likely: {piece.name}. {piece.hint}" for piece in pieces]
-    if pieces and explanations:
-        lines.append("The same numbers come out " + ", or ".join(explanations[:2]) + ".")
-    elif explanations:
-        lines.append("Your result is what one gets " + ",\n  or ".join(explanations) + ".")
+    found = _causes(exercise, function, cases, outcomes, expected, sames, slips.unlike(outcomes[first], again))
+    lines = [f"{exercise.name}: wrong, on input {first + 1} of {len(cases)} ({label})",
+             *(argument(*pair) for pair in zip(exercise.arguments, arguments)), reasons[first], *found.said,
+             _remarks(outcomes).strip(), f"To try this input: {exercise.name}(*check.{exercise.name}.failing)"]
+    more = f"In a plain answer these are the lines (- as in yours, + right):\n{textwrap.indent(found.lines, '  ')}"
+    return Verdict(exercise.name, WRONG, "\n".join(filter(None, lines)), found.mistake,
+                   tuple(map(copied, arguments)), located=found.located or outcomes[first].error is not None,
+                   picture=picture_of(exercise, outcomes[first].values or [], expected[first]),
+                   more=more if found.lines else "")
+
+
+class _Causes(NamedTuple):
+    """What is said about the cause; the rest as in Verdict. lines : of a plain answer, as a diff."""
+
+    said: list[str]
+    mistake: str = ""
+    located: bool = False
+    lines: str = ""
+
+
+def _causes(exercise, function, cases, outcomes, expected, sames, random) -> _Causes:
+    unused = slips.unused(exercise, function)
+    slip = random or slips.other_order(exercise, function)
+    if slip:
+        return _Causes([slip], slip)
+    pieces, guess = museum.recognise(exercise, cases, outcomes, expected)
+    slip = slips.unmoved(exercise, outcomes, expected, sames) or slips.cut(exercise, outcomes, expected, sames)
+    if slip and not pieces:
+        return _Causes([slip, unused], " ".join(filter(None, [slip, unused])))
+    explanations = explain(exercise, cases, outcomes, expected, simple=bool(pieces))
+    where, looks = right_parts.remarks(exercise, cases, outcomes, expected, sames)
+    said = [f"Most likely: {piece.name}. {piece.hint}" for piece in pieces]
+    if pieces and (others := [words for one in explanations[:1] for words in one.words if not VAGUE.search(words)]):
+        said.append(f"The same numbers come out {', or '.join(others[:2])}.")
+    elif explanations and not pieces:
+        said += [f"Your result is what one gets {_together(explanations)}.", unused, *where]
     elif not pieces:
-        lines += [f"Perhaps: {guess.name}. {guess.hint}"] if guess else []
-        lines += where
-    lines += [_remarks(outcomes).strip()] if _remarks(outcomes) else []
-    lines.append(f"To try this input: {exercise.name}(*check.{exercise.name}.failing)")
-    mistake = next((piece.name for piece in [*pieces, *([] if explanations else [guess])] if piece), "")
-    return Verdict(exercise.name, WRONG, "\n".join(lines), mistake or "; ".join(explanations[:1]),
-                   tuple(map(copied, arguments)), located=bool(where) or outcomes[first].error is not None,
-                   picture=picture_of(exercise, outcomes[first].values or [], expected[first]))
+        said += [unused, *([f"Perhaps: {guess.name}. {guess.hint}"] if guess else []), *where, *looks]
+    named = [piece.name for piece in [*pieces, *([] if explanations else [guess])] if piece]
+    named += ["; ".join(explanation.words[0] for explanation in explanations)] if explanations else [unused]
+    lines = [piece.lines() for piece in pieces] + [explanation.lines for explanation in explanations]
+    return _Causes(said, named[0], bool(where or looks), next(filter(None, lines), ""))
+
+
+def _together(explanations) -> str:
+    """Words for the explanations of all results together, or for one of each wrong result."""
+    if len(explanations) == 1:
+        return ", or ".join(explanations[0].words)
+    results: dict[str, list[str]] = {}
+    for one in explanations:
+        results.setdefault(one.words[0].removesuffix(f" (in {one.result})"), []).append(one.result)
+    return " and ".join(f"{words} (in {' and '.join(names)})" for words, names in results.items())
 
 
 def _remarks(outcomes) -> str:
@@ -131,9 +170,9 @@ def _too_slow(exercise, case, ended, limit) -> Verdict:
     label, arguments = case
     still = "" if ended == "stopped" else "\nIt could not be stopped and still runs: restart the kernel."
     return Verdict(exercise.name, WRONG, "\n".join([
-        f"{exercise.name}: wrong, still no answer after {limit:g} s, on the input ({label})",
+        f"{exercise.name}: wrong, still no answer after {limit:g} s of computing, on the input ({label})",
         *(argument(*pair) for pair in zip(exercise.arguments, arguments)),
-        f"Does a loop never end?{still}"]), failing=tuple(map(copied, arguments)))
+        f"Does a loop never end, or does it wait for something?{still}"]), failing=tuple(map(copied, arguments)))
 
 
 def _tried(cases) -> str:
