@@ -8,7 +8,7 @@ from .comparing import argument, differs
 from .exercise import Exercise, short
 from .explain import explain, same
 from .picture import Picture, picture_of
-from .running import LIMIT, answers, arrays, copied, error_message, written
+from .running import LIMIT, Outcome, answers, arrays, copied, error_message, written
 
 RIGHT, NOT_WRITTEN, WRONG = "right", "not written yet", "wrong"
 
@@ -42,21 +42,30 @@ def judge(exercise: Exercise, function, limit=LIMIT) -> Verdict:
     if not callable(function):
         return Verdict(name, WRONG, f"{name}: give the function itself, without calling it: check.{name}({name})")
     rebound = surroundings.restored()
-    verdict = _judged(exercise, function, limit, rebound)
+    outcomes, ended = answers(exercise, function, exercise.inputs(), limit)
+    rebound += surroundings.restored()  # before anything of ours is called again
+    return concluded(exercise, outcomes, ended, written(function), rebound, limit)
+
+
+def concluded(exercise: Exercise, outcomes: list[Outcome], ended: str, is_written: bool, rebound: list[str],
+              limit: float = LIMIT) -> Verdict:
+    """The verdict on what an answer did, which needs nothing of the answer itself: see `running.answers`.
+
+    is_written : more than a stub. rebound : names of functions that it changed. limit : s, that it had.
+    """
+    verdict = _judged(exercise, outcomes, ended, is_written, limit)
     if rebound:
         changed = f"Your code has changed {', '.join(sorted({*rebound})[:4])}: put back, so that other checks work."
         verdict = replace(verdict, text=f"{verdict.text}\n{changed}")
     return verdict
 
 
-def _judged(exercise: Exercise, function, limit, rebound: list[str]) -> Verdict:
+def _judged(exercise: Exercise, outcomes, ended, is_written, limit) -> Verdict:
     name = exercise.name
     cases = exercise.inputs()
     expected = [arrays(exercise.expected(*map(copied, arguments)), exercise.outputs)[0] for _, arguments in cases]
-    outcomes, ended = answers(exercise, function, cases, limit)
-    rebound += surroundings.restored()  # before anything of ours is called again
     if any(outcome.blank for outcome in outcomes):
-        return _blank(exercise, function, outcomes)
+        return _blank(exercise, is_written, outcomes)
 
     reasons = [_reason(exercise, outcome, should) for outcome, should in zip(outcomes, expected)]
     failing = [i for i, reason in enumerate(reasons) if reason]
@@ -111,14 +120,14 @@ def _remarks(outcomes) -> str:
     return "".join(f"\n  {remark}" for remark in found)
 
 
-def _blank(exercise, function, outcomes) -> Verdict:
+def _blank(exercise, is_written, outcomes) -> Verdict:
     if outcomes[-1].calls:
         return Verdict(exercise.name, NOT_WRITTEN,
                        f"{exercise.name}: it calls {outcomes[-1].calls}, which is not written yet")
-    if written(function) and outcomes[-1].nothing:
+    if is_written and outcomes[-1].nothing:
         return Verdict(exercise.name, WRONG, f"{exercise.name}: your function returned nothing on input "
                                              f"{len(outcomes)}: is `return` missing?")
-    if written(function) and len(outcomes) == 1:
+    if is_written and len(outcomes) == 1:
         return Verdict(exercise.name, NOT_WRITTEN, f"{exercise.name}: the line `raise NotImplementedError` is still "
                                                    "there, and nothing below it is run: delete it")
     if len(outcomes) == 1:

@@ -16,7 +16,7 @@ from ..exercises import EXERCISES
 from . import grading
 from .grading import Result, Submission
 
-_COLUMNS = (RIGHT, WRONG, NOT_WRITTEN, grading.NO_VERDICT, grading.MISSING)
+_COLUMNS = (RIGHT, grading.BORROWED, WRONG, NOT_WRITTEN, grading.NO_VERDICT, grading.MISSING)
 _FREQUENT = 10  # mistakes that the summary names
 
 
@@ -81,7 +81,7 @@ def write(submissions: Sequence[Submission], folder: Path) -> None:
     if scores:
         columns = list(dict.fromkeys(key for score in scores for key in score))
         write_csv(folder / "capstone.csv", columns, ([score.get(key) for key in columns] for score in scores))
-    content = [{"notebook": shown(submission.name), "problem": submission.problem,
+    content = [{"notebook": shown(submission.name), "problem": submission.problem, "notes": submission.notes,
                 "exercises": [{"chapter": result.chapter} | dataclasses.asdict(result)
                               for result in submission.results]} for submission in submissions]
     write_text(folder / "exercises.json", json.dumps(content, indent=2, ensure_ascii=False) + "\n")
