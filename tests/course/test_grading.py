@@ -172,7 +172,7 @@ def test_every_submission_has_its_row_and_nothing_else_is_left(graded):
     entries, folder, out, printed = graded
     assert len(entries) == len(list(folder.iterdir()))
     assert sorted(path.name for path in out.iterdir()) == [
-        "exercises.csv", "exercises.json", "feedback", "matrix.csv", "summary.txt"]
+        "exercises.csv", "exercises.json", "feedback", "matrix.csv", "points.csv", "similar.csv", "summary.txt"]
     assert "\x1b" not in printed
 
 
@@ -219,7 +219,7 @@ def test_the_summary_counts_exercises_and_mistakes(tmp_path):
 
     found = report.summary([of("a", WRONG, "sign"), of("b", WRONG, "sign"), of("c", WRONG, "other"), of("d", RIGHT)])
     assert [line.split() for line in found.splitlines()[1:]] == [
-        ["odot", "1", "3", "0", "0", "0"], [], ["most", "frequent", "mistakes"], ["2", "odot:", "sign"],
+        ["odot", "1", "0", "3", "0", "0", "0"], [], ["most", "frequent", "mistakes"], ["2", "odot:", "sign"],
         ["1", "odot:", "other"]]
 
 

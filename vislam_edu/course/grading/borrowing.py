@@ -19,6 +19,8 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from ..checks.exercise import Exercise
 from ..exercises import EXERCISES
 
@@ -82,8 +84,10 @@ def _in_package(frame, theirs) -> bool:
 
 def in_notebook(function: Any) -> bool:
     """Whether a function was defined by a cell of a notebook, and not by a file or by text that was executed."""
-    code = getattr(inspect.unwrap(function), "__code__", None)
-    return code is not None and "ipykernel" in code.co_filename or "<ipython-input" in getattr(code, "co_filename", "")
+    function = inspect.unwrap(function)
+    function = getattr(function, "func", getattr(function, "pyfunc", function))  # functools.partial, np.vectorize
+    code = getattr(function, "__code__", None) or getattr(vars(type(function)).get("__call__"), "__code__", None)
+    return any(mark in getattr(code, "co_filename", "") for mark in ("ipykernel", "<ipython-input"))
 
 
 # --- in the grader's process ------------------------------------------------------------------------------
@@ -116,19 +120,20 @@ def _used_by_answers(exercise: Exercise) -> set[str]:
     uses: set[str] = set()
     for answer in exercise.answers:
         own = watched(answer, uses, [answer.__code__.co_filename])
-        for _, arguments in exercise.inputs():
-            result = own(*arguments)
-            if exercise.reading:
-                exercise.reading(result)
+        with np.errstate(all="ignore"):
+            for _, arguments in exercise.inputs():
+                result = own(*arguments)
+                if exercise.reading:
+                    exercise.reading(result)
     return uses
 
 
-def asks_for_solution(sources: Iterable[str], name: str) -> bool:
-    """Whether the last definition of a function in these cells speaks of `EXERCISES` or `solution`."""
+def asks_for_solution(sources: Iterable[str], name: str, here: bool) -> bool:
+    """Whether the last definition of a function speaks of `EXERCISES` or `solution`; any cell, if none holds it."""
     node = definitions(sources).get(name)
-    return node is not None and any(
-        isinstance(part, ast.Name) and part.id in ("EXERCISES", "solution") or
-        isinstance(part, ast.alias) and part.name in ("EXERCISES", "solution") for part in ast.walk(node))
+    if not here or node is None:
+        return any(re.search(r"\b(?:EXERCISES|solution)\b", source) for source in sources)
+    return any(getattr(part, "id", getattr(part, "name", "")) in ("EXERCISES", "solution") for part in ast.walk(node))
 
 
 def definitions(sources: Iterable[str]) -> dict[str, ast.FunctionDef]:

@@ -34,6 +34,7 @@ BORROWED, NO_VERDICT, MISSING = "borrowed", "no verdict", "missing"
 _CALL = re.compile(r"\bcheck\.(\w+)\s*\(")
 _STUB = re.compile(r"^def (\w+)\(", re.MULTILINE)
 _CHAPTER = re.compile(r"(\d\d)_")
+_DOWNLOADED = re.compile(r"(?:^|/)(?P<name>[^/]+?)_(?:LATE_)?(?P<id>\d+)_(?:assignsubmission_file_|\d+_)")
 # What a notebook needs of the environment. The rest stays here: it may hold passwords and tokens.
 _PASSED_ON = {"PATH", "HOME", "USER", "LANG", "LC_ALL", "TZ", "TMPDIR", "TEMP", "TMP", "SYSTEMROOT", "SYSTEMDRIVE",
               "COMSPEC", "PATHEXT", "USERPROFILE", "APPDATA", "LOCALAPPDATA", "PYTHONPATH", "VIRTUAL_ENV",
@@ -89,8 +90,20 @@ class Submission:
 
     @property
     def student(self) -> str:
-        """The folder that the notebook was in, or its own name where it was in none."""
+        """Whose it is: by the name in a bulk download, or its folder, or its own name where it was in none."""
+        return f"{self.student_name} {self.student_id}".strip()
+
+    @property
+    def student_name(self) -> str:
+        if found := _DOWNLOADED.search(self.name):
+            return found["name"]
         return self.name.split("/")[0] if "/" in self.name else Path(self.name).stem
+
+    @property
+    def student_id(self) -> str:
+        """The number that Canvas has for the student, or Moodle for the participant, in a bulk download; else ""."""
+        found = _DOWNLOADED.search(self.name)
+        return found["id"] if found else ""
 
 
 @dataclass(frozen=True)
@@ -146,7 +159,8 @@ def grade(notebook: Notebook, limit: float = LIMIT, sandbox: Sandbox | None = No
     return Submission(name, [
         found.get(exercise) or (Result(exercise, NO_VERDICT, detail=checked[exercise]) if exercise in checked
                                 else Result(exercise, MISSING))
-        for exercise in _expected(path, cells, checked)], problem, notes + _meddling(cells), borrowing.forms(cells), notebook.time)
+        for exercise in _expected(path, cells, checked)], problem, notes + _meddling(cells), borrowing.forms(cells),
+        notebook.time)
 
 
 def _meddling(cells) -> list[str]:
@@ -264,7 +278,7 @@ def _result(exercise, entry, cells) -> Result:
             return Result(exercise.name, NO_VERDICT, detail=f"not judged: {shown(error)}")
     if verdict.right:
         uses = borrowing.borrowed(exercise, entry["uses"])
-        if borrowing.asks_for_solution(cells, exercise.name):
+        if borrowing.asks_for_solution(cells, exercise.name, entry["here"]):
             uses.append("EXERCISES or solution")
         if uses:
             return Result(exercise.name, BORROWED, ", ".join(uses),

@@ -21,8 +21,8 @@ import numpy as np
 
 from ..ch13 import capstone
 from ..checks import surroundings
-from ..exercises import EXERCISES
 from ..checks.running import Outcome, Unreadable, answers, error_message, written
+from ..exercises import EXERCISES
 from . import borrowing
 
 LARGEST = 50_000_000  # characters that are read of a notebook, or of what its checks recorded
@@ -88,8 +88,8 @@ def run(folder: Path, scratch: Path, seconds: int) -> None:
         if error is not None:
             record.add({"cell": number, "error": _described(error)})
         with suppress(SyntaxError, ValueError, RecursionError):
-            for call in calls(plain(source)):
-                record.add(_followed(call, shell.user_ns))
+            for name, call in calls(plain(source)):
+                record.add(_followed(name, call, shell.user_ns))
     record.add({"end": True})
     os._exit(0)  # without waiting for threads that the notebook has left
 
@@ -113,19 +113,18 @@ def signature(text: str, key: str) -> str:
     return blake2s(text.encode(), key=key.encode()).hexdigest()
 
 
-def calls(source: str) -> Iterator[ast.Call]:
-    """The calls `check.NAME(...)` and `capstone.score(...)` in a cell. Raises SyntaxError."""
+def calls(source: str) -> Iterator[tuple[str, ast.Call]]:
+    """The calls `check.NAME(...)` and `capstone.score(...)` in a cell, with NAME or "score". Raises SyntaxError."""
     for node in ast.walk(ast.parse(source)):
         match node:
             case ast.Call(func=ast.Attribute(value=ast.Name(id="check"), attr=name), args=[_]) if name in EXERCISES:
-                yield node
+                yield name, node
             case ast.Call(func=ast.Attribute(value=ast.Name(id="capstone"), attr="score"), args=[_, *_]):
-                yield node
+                yield "score", node
 
 
-def _followed(call: ast.Call, namespace: dict) -> dict:
+def _followed(name: str, call: ast.Call, namespace: dict) -> dict:
     """What the function that a cell gives to a check does, or to the capstone's score."""
-    name = call.func.attr
     try:
         function, *others = (_value(argument, namespace) for argument in call.args)
         options = {keyword.arg: _value(keyword.value, namespace) for keyword in call.keywords if keyword.arg}
@@ -150,7 +149,8 @@ def tried(name: str, function: Callable) -> dict:
 
     uses : names of the functions of the package that it calls directly. here : whether its code is in the notebook.
     """
-    exercise, uses = EXERCISES[name], set()
+    exercise = EXERCISES[name]
+    uses: set[str] = set()
     rebound = surroundings.restored()
     outcomes, ended = answers(exercise, borrowing.watched(function, uses), exercise.inputs())
     rebound += surroundings.restored()
@@ -159,11 +159,12 @@ def tried(name: str, function: Callable) -> dict:
 
 
 def _sent(outcome: Outcome) -> dict:
-    values, error = outcome.values, outcome.error
+    values: list | None = outcome.values
+    error = outcome.error
     if values is not None and sum(value.size for value in values) > MOST_NUMBERS:
         values, error = None, Unreadable(f"it returned arrays of the shapes {[value.shape for value in values]}")
     return vars(outcome) | {
-        "values": values and [[value.shape, value.tobytes().hex()] for value in values],
+        "values": None if values is None else [[value.shape, value.tobytes().hex()] for value in values],
         "error": error and [type(error).__name__, _words(error), error_message(error)]}
 
 
