@@ -245,7 +245,7 @@ def test_a_score_never_replaces_the_verdict_of_the_check(monkeypatch):
 
     monkeypatch.setattr(capstone, "drives", lambda student: [capstone.unseen(student).slice(0, 10)])
     monkeypatch.setattr(borrowing, "in_notebook", lambda function: function is not capstone.agreed_run)
-    entries = followed("check.filter_run(wrong)\ncapstone.score(right)\ncapstone.score(capstone.agreed_run)", {
+    entries = followed("capstone.score(right)\ncapstone.score(capstone.agreed_run)\ncheck.filter_run(wrong)", {
         "wrong": stands_still, "right": filled()["filter_run"], "capstone": capstone})
     result = grading._judged(entries, [])[0]["filter_run"]
     assert result.status == WRONG

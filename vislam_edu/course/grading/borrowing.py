@@ -1,8 +1,9 @@
 """Whose work an answer is: what of the package it calls, and which answers of two students are the same code.
 
 A function counts as borrowed where it is the package's own, or calls what the exercise stands for: `EXERCISES`,
-`solution`, the functions that `solution` shows, one of the same name, or one of a later chapter. It may call what the
-exercise's own plain answers call, what earlier exercises stand for, and the small tools in `TOOLS`.
+`solution`, the function that `solution` shows first, one of the same name, or one of a later exercise. It may call what
+the exercise's own plain answers call, what earlier exercises show, and the small tools in `TOOLS`. A stage of the
+capstone is to be made of the student's own pieces: nothing that its `solution` shows.
 """
 
 import ast
@@ -26,9 +27,10 @@ from ..exercises import EXERCISES
 
 TOOLS = ("se3.", "noise.", "drive.", "belief.", "stereo.StereoCamera.imu_T_cam", "stereo.StereoCamera.cam_T_imu",
          "stereo.StereoCamera.to_world", "stereo.StereoCamera.to_cam", "stereo.StereoCamera.K_s")
+CAPSTONE = 13  # chapter
 # Words of a notebook that means to reach the machinery of its own check.
 MEDDLING = re.compile(r"sys\.modules|_getframe|currentframe|setprofile|settrace|\bctypes\b|\bgc\.|/proc/|\bos\.kill"
-                      r"|course\.(?:checks|grading)|\bjudge\b|importlib\.reload|sys\.argv|__code__|mock\.patch"
+                      r"|course\.(?:checks|grading)|importlib\.reload|sys\.argv|__code__|mock\.patch"
                       r"|^\s*(?:check|json|np|numpy|capstone|se3|builtins)(?:\.\w+)+\s*=[^=]|setattr\(|monkeypatch",
                       re.MULTILINE)
 
@@ -102,17 +104,17 @@ def _may_use(exercise: Exercise, use: str) -> bool:
     last = use.rpartition(".")[2]
     if use in _used_by_answers(exercise) or re.fullmatch(r"__\w+__", last):
         return True
-    if use.startswith("course.") or last == exercise.name or use in _shown(exercise):
+    own = _shown(exercise)
+    if use.startswith("course.") or last == exercise.name or use in (own if exercise.chapter == CAPSTONE else own[:1]):
         return False
     names = list(EXERCISES)
-    before = names[:names.index(exercise.name)]
-    taught = {shown: name for name in reversed(names) for shown in _shown(EXERCISES[name])}
-    return taught[use] in before if use in taught else use.startswith(TOOLS)
+    first = next((name for name in names if use in _shown(EXERCISES[name])), None)
+    return use.startswith(TOOLS) if first is None else names.index(first) < names.index(exercise.name)
 
 
-def _shown(exercise: Exercise) -> set[str]:
-    return {f"{function.__module__}.{function.__qualname__}".removeprefix("vislam_edu.")
-            for function in exercise.shows}
+def _shown(exercise: Exercise) -> list[str]:
+    return [f"{function.__module__}.{function.__qualname__}".removeprefix("vislam_edu.")
+            for function in exercise.shows]
 
 
 @functools.cache

@@ -159,12 +159,11 @@ def tried(name: str, function: Callable) -> dict:
 
 
 def _sent(outcome: Outcome) -> dict:
-    values: list | None = outcome.values
-    error = outcome.error
-    if values is not None and sum(value.size for value in values) > MOST_NUMBERS:
-        values, error = None, Unreadable(f"it returned arrays of the shapes {[value.shape for value in values]}")
+    values, error = outcome.values, outcome.error
+    if sum(value.size for value in values or []) > MOST_NUMBERS:
+        error = Unreadable(f"it returned arrays of the shapes {[value.shape for value in values or []]}")
     return vars(outcome) | {
-        "values": None if values is None else [[value.shape, value.tobytes().hex()] for value in values],
+        "values": None if error or values is None else [[value.shape, value.tobytes().hex()] for value in values],
         "error": error and [type(error).__name__, _words(error), error_message(error)]}
 
 
