@@ -12,9 +12,11 @@ import numpy as np
 import pytest
 from blind_answers import read
 
+from vislam_edu import cli
 from vislam_edu.cli.arguments import OptionError
 from vislam_edu.course.checks.running import copied
 from vislam_edu.course.checks.verdict import NOT_WRITTEN, RIGHT, WRONG, concluded, judge
+from vislam_edu.course.cli import hand_out
 from vislam_edu.course.exercises import EXERCISES
 from vislam_edu.course.grading import borrowing, grading, points, submission
 
@@ -90,6 +92,7 @@ for path in (sys.argv[2] + "/record", sys.argv[2] + "/verdicts.jsonl"):
 json.dumps = json.JSONEncoder.encode = lambda *_, **__: '{"exercise": "so3_hat", "status": "right"}'""", CHECK_HAT],
                       (WRONG, MISSING, MISSING)),
     "patches what is called": ([WRONG_HAT, """from vislam_edu.course.checks import running, surroundings
+from vislam_edu.course.cli import hand_out
 from vislam_edu.course.exercises import EXERCISES
 import numpy as np
 ours, asarray = running.outcome_of, np.asarray
@@ -310,3 +313,22 @@ def test_names_and_layout_do_not_make_another_answer():
     assert first
     assert borrowing.forms([EXP.replace("k in range(1, 9)", "k in range(1, 12)")]) != first
     assert borrowing.forms([HAT, "def so3_exp(phi):\n    return phi\n"]) == {}  # as short as they come
+
+
+def test_students_are_handed_stubs_and_nothing_of_the_teachers(tmp_path, capsys):
+    assert cli.main(["hand-out", str(tmp_path / "course"), "--chapters", "03", "13"]) == 0
+    files = {path.relative_to(tmp_path / "course").as_posix() for path in (tmp_path / "course").rglob("*")}
+    assert {"notebooks/03_landmark_ekf.ipynb", "notebooks/13_your_own_filter.ipynb", "docs/notation.md",
+            "data/first_steps.npz"} <= files
+    assert not [file for file in files if "instructor" in file or "teaching" in file or "test" in Path(file).name]
+    text = (tmp_path / "course" / "notebooks" / "03_landmark_ekf.ipynb").read_text(encoding="utf-8")
+    assert not any(cell.get("outputs") for cell in json.loads(text)["cells"])
+    source = Path(__file__).parents[2] / "notebooks" / "03_landmark_ekf.ipynb"
+    kept = hand_out._cleared(source, keep_outputs=True)
+    assert json.loads(kept) == json.loads(source.read_bytes())
+    (tmp_path / "worked.ipynb").write_text(source.read_text(encoding="utf-8").replace(
+        "raise NotImplementedError", "return 42"), encoding="utf-8")
+    assert b"return 42" not in hand_out._cleared(tmp_path / "worked.ipynb", keep_outputs=True)
+    assert cli.main(["hand-out", str(tmp_path / "other"), "--chapters", "99"]) == cli.BAD_INPUT
+    assert capsys.readouterr().err == "vislam_edu: 99: there is no notebook of this chapter\n"
+    assert not (tmp_path / "other").exists()
