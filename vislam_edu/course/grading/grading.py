@@ -33,7 +33,7 @@ BORROWED, NO_VERDICT, MISSING = "borrowed", "no verdict", "missing"
 
 _CALL = re.compile(r"\bcheck\.(\w+)\s*\(")
 _STUB = re.compile(r"^def (\w+)\(", re.MULTILINE)
-_CHAPTER = re.compile(r"(\d\d)_")
+_CHAPTER = re.compile(r"(?:^|_)(\d\d)_[a-z]")
 _DOWNLOADED = re.compile(r"(?:^|/)(?P<name>[^/]+?)_(?:LATE_)?(?P<id>\d+)_(?:assignsubmission_file_|\d+_)")
 # What a notebook needs of the environment. The rest stays here: it may hold passwords and tokens.
 _PASSED_ON = {"PATH", "HOME", "USER", "LANG", "LC_ALL", "TZ", "TMPDIR", "TEMP", "TMP", "SYSTEMROOT", "SYSTEMDRIVE",
@@ -172,7 +172,7 @@ def _expected(path, cells, checked) -> list[str]:
     """The exercises of the chapters that a notebook is about: by its name and its checks, or else by its functions."""
     names = set(checked) or {name for source in cells for name in _STUB.findall(source)}
     chapters = {exercise.chapter for name, exercise in EXERCISES.items() if name in names}
-    if found := _CHAPTER.match(path.name):
+    if found := _CHAPTER.search(path.name):
         chapters.add(int(found[1]))
     return [name for name, exercise in EXERCISES.items() if exercise.chapter in chapters]
 

@@ -27,7 +27,7 @@ from . import borrowing
 
 LARGEST = 50_000_000  # characters that are read of a notebook, or of what its checks recorded
 MEMORY, FILE_SIZE = 4 << 30, 100 << 20  # bytes, for each process and for each file that it writes
-MOST_NUMBERS = 1_000_000  # that one result may have; a right one has a few hundred
+MOST_NUMBERS = 20_000  # that one result may have; a right one has a few hundred
 CELLS, RECORD = "cells.json", "record"  # names of files
 
 
