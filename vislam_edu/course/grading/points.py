@@ -1,7 +1,7 @@
 """Points of each student, with names and ids from a roster, and the files that a course's system takes.
 
-The names in a bulk download are read as Canvas (`doejane_LATE_7_9_file.ipynb`) and Moodle (`Jane
-Doe_7_assignsubmission_file_/file.ipynb`) make them; anything else is one folder, or one notebook, a student.
+The names in a bulk download are read as Canvas makes them, "doejane_LATE_7_9_file.ipynb", and Moodle, a folder "Jane
+Doe_7_assignsubmission_file_"; anything else is one folder, or one notebook, a student.
 """
 
 import csv
