@@ -74,7 +74,7 @@ def read_these(submissions: Iterable[Submission]) -> list[tuple[str, str]]:
              for result in submission.results if result.status == grading.BORROWED]
     found += [(submission.name, note) for submission in submissions for note in submission.notes]
     return found + [(f"{one} and {other}", f"the same code in {len(equal)} of {both}: {', '.join(equal)}")
-                    for one, other, equal, both in _similar(submissions) if len(equal) >= min(_EQUAL, both)]
+                    for one, other, equal, both in _similar(submissions) if len(equal) >= _EQUAL]
 
 
 def _similar(submissions: Iterable[Submission]) -> list[tuple[str, str, list[str], int]]:
