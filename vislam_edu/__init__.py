@@ -70,8 +70,8 @@ __version__ = "0.2.0"
 __all__ = [
     "Drive", "InverseDepth", "Noise", "RightInvariant", "RightPerturbation", "StereoCamera", "association", "audit",
     "batch", "belief", "drive", "ekf_slam", "error_state", "imu", "inertial", "inertial_batch", "inverse_depth",
-    "kalman", "lens", "load", "mapping", "metrics", "motion", "noise", "normal_equations", "odometry", "plots", "recordings",
-    "robust", "se3", "simulate", "smoother", "stereo", "studies", "tracking", "widgets", "window_slam"]
+    "kalman", "lens", "load", "mapping", "metrics", "motion", "noise", "normal_equations", "odometry", "plots",
+    "recordings", "robust", "se3", "simulate", "smoother", "stereo", "studies", "tracking", "widgets", "window_slam"]
 
 _DEFINED_IN = {"load": "recordings", "Drive": "drive", "Noise": "noise", "StereoCamera": "stereo",
                "RightPerturbation": "error_state", "RightInvariant": "error_state", "InverseDepth": "error_state"}

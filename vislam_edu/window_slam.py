@@ -34,9 +34,10 @@ class UpdateSettings:
 
     camera : StereoCamera. noise : Noise. error_state : `ErrorState`.
     threshold : largest NIS (4 degrees of freedom) of a measurement that is used.
-    min_disparity : px, below it a new landmark waits for a better view. retract_motion : see `motion.retract`.
+    min_disparity : px, below it a new landmark waits for a better view.
     predict_again : from a first correction of the prior to the prior once more, linearised there, and the error that
         the prior's mean has there; None: a frame is linearised once. See `motion.ImuDriven.predict_again`.
+    retract_motion : see `motion.retract`.
     """
 
     camera: StereoCamera
@@ -44,8 +45,8 @@ class UpdateSettings:
     error_state: ErrorState
     threshold: float
     min_disparity: float
-    retract_motion: motion.RetractMotion = motion.add
     predict_again: Callable[[np.ndarray], tuple[Belief, np.ndarray]] | None = None
+    retract_motion: motion.RetractMotion = motion.add
 
 
 Frame = tuple[Belief, Belief, Innovation]
@@ -127,6 +128,7 @@ def relinearise(prior: Belief, H: Linearised, innovation: Innovation,
     they are: a landmark behind the camera there is left out.
     Source: Bell, Cathey, The iterated Kalman filter update as a Gauss-Newton method, 1993.
     """
+    assert settings.predict_again is not None
     good, n = innovation.accepted, len(prior.ids)
     residual = innovation.residual[good]
     first = blockwise.correction(prior.covariance, *H.only(good).blocks(n), stereo.reduce_rows(residual),
@@ -282,7 +284,7 @@ def run(drive: Drive, noise: Noise, error_state: ErrorState | None = None, *,
     error_state = error_state or RightPerturbation()
     model = motion_model(drive, noise, error_state)
     settings = UpdateSettings(drive.camera, noise, error_state, kalman.gate_threshold(gate), min_disparity,
-                              model.retract_motion)
+                              retract_motion=model.retract_motion)
     posterior = after.posterior if after else model.start(world_T_imu)
     # Matrices of a few hundred rows: the threads of one product would wait for each other longer than they work.
     blas = ThreadpoolController()

@@ -85,5 +85,5 @@ class GrowthPicture(Picture):
 
     def alt(self, **state):
         """The picture in words."""
-        return ("Standard deviation of the position of an IMU alone through time, two curves, and bars of what each "
-                "of four errors adds. " + self.caption(**state))
+        return ("Standard deviation of the position of an IMU alone through time, two curves, and bars for what "
+                "each of four errors adds. " + self.caption(**state))
