@@ -84,9 +84,10 @@ class ImuSamples:
 
 
 def samples_of(drive: Drive) -> ImuSamples:
-    """The samples of a drive. Raises DriveError for one without an accelerometer."""
+    """The samples of a drive. Raises DriveError for one without an accelerometer, or whose samples do not cover it."""
     if drive.imu is None:
         raise DriveError(f"{drive.name or 'this drive'} has no accelerometer (imu is None)")
+    drive.imu.between(drive.times[0], drive.times[-1])
     return drive.imu
 
 
