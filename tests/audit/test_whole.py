@@ -105,6 +105,18 @@ def test_one_wrong_reading_is_named_and_undone(name):
         np.testing.assert_allclose(cured.pixels, right.pixels, atol=1e-9)
 
 
+@pytest.mark.parametrize("pair", few(1, [
+    ("half size", "millimetres"), ("half size", "ms"), ("ms", "degrees"), ("normalised", "millimetres"),
+    ("half size", "swapped"), ("half size", "km/h"), ("half size", "x forward"), ("swapped", "millimetres"),
+]), ids="+".join)
+def test_two_wrong_readings_at_once_are_refused(pair):
+    """Refused, so nothing ends farther off than dead reckoning; both are named where one can be seen by itself."""
+    report = audited(*pair)
+    assert report.refusal
+    assert {"ms", "millimetres"}.isdisjoint(pair) or {MISTAKES[name][0] for name in pair} <= {
+        finding.fault for finding in report.findings}
+
+
 @pytest.mark.parametrize("sentinel", few(1, [0.0, -999.0, 65535.0]))
 def test_a_value_that_most_entries_hold_means_not_seen(sentinel):
     drive = street(frames=60)
