@@ -178,9 +178,9 @@ NAN_SAMPLE = put(LINEAR, (1, 4), np.nan)
 BROKEN_NPZ = {
     "no K": (without(NPZ, "K"), "K: missing; the file has time_stamps, features"),
     "no extrinsics": (without(NPZ, "imu_T_cam"), "imu_T_cam or cam_T_imu: missing"),
-    "no gyro": (without(NPZ, "angular_velocity"), "angular_velocity or rotational_velocity: missing"),
+    "no gyro": (without(NPZ, "angular_velocity"), "angular_velocity or rotational_velocity or w_t: missing"),
     "no features": (without(NPZ, "features"), "features: missing"),
-    "nothing": ({}, "time_stamps: missing; the file has nothing"),
+    "nothing": ({}, "time_stamps or timestamps: missing; the file has nothing"),
     "times in a square": (NPZ | {"time_stamps": TIMES.reshape(2, 3)}, r"time_stamps: shape \(2, 3\)"),
     "times stand still": (NPZ | {"time_stamps": put(TIMES, 3, TIMES[2])}, "times: do not increase, frame 2"),
     "times nan": (NPZ | {"time_stamps": put(TIMES, 3, np.nan)}, r"times: nan at index \(3,\)"),

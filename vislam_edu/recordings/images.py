@@ -156,16 +156,10 @@ def _course_calibration(path: Path) -> tuple[lens.Rig, Callable[..., Drive]]:
 
     with files.open_fields(path) as fields:
         if "K_l" not in fields:
-            K, baseline = fields.numbers("K"), fields.number("b" if "b" in fields else "baseline")
-            key = fields.key("imu_T_cam", "cam_T_imu")
-            T = fields.numbers(key)
-            camera = StereoCamera(K, baseline, se3.inverse(T) if key == "imu_T_cam" else T)
-            left, right, K_right = np.eye(4), np.eye(4), None
-        else:
-            K, K_right, left, right = (fields.numbers(key) for key in ("K_l", "K_r", "extL_T_imu", "extR_T_imu"))
-    if K_right is None:
-        rig = lens.Rig(lens.Lens(camera.K), lens.Lens(camera.K), camera)
-        return rig, _maker(rig, "tracked from images")
+            camera = layouts.camera_of(fields)
+            rig = lens.Rig(lens.Lens(camera.K), lens.Lens(camera.K), camera)
+            return rig, _maker(rig, "tracked from images")
+        K, K_right, left, right = (fields.numbers(key) for key in ("K_l", "K_r", "extL_T_imu", "extR_T_imu"))
     imu_T_left, left_T_right = extrinsics.first_that_fits(left, right)
     rig = lens.rectified(K, K_right, left_T_right, se3.inverse(imu_T_left))
 
@@ -216,12 +210,9 @@ def open_imu(path: Path) -> tuple[np.ndarray, np.ndarray]:
     with files.errors_name(path):
         if path.suffix in (".npy", ".npz"):
             with files.open_fields(path) as fields:
-                times = fields.numbers(fields.key("timestamps", "time_stamps", "times")).ravel().astype(float)
                 if "twists" in fields:
-                    return times, fields.numbers("twists")
-                v, w = (fields.numbers(fields.key(*keys)) for keys in (
-                    ("v_t", "linear_velocity"), ("w_t", "angular_velocity", "rotational_velocity")))
-            return times, np.hstack([one if one.shape == (times.size, 3) else one.T for one in (v, w)])
+                    return fields.numbers("times").astype(float), fields.numbers("twists")
+                return layouts.imu_of(fields)
         rows, _ = layouts.rows_of_numbers(path)
         if rows.shape[1] != 7:
             raise DriveError(f"{rows.shape[1]} numbers a row, expected 7: time, linear velocity, angular velocity")
