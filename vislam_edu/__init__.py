@@ -43,6 +43,7 @@ batch                   the whole drive at once: least squares over poses and la
 association             which landmarks are the same place, and closing the loop
 imu                     a real IMU: gravity, biases, preintegration
 inertial                the joint filter with a real IMU
+inertial_batch          the whole drive at once with a real IMU
 lens                    distorted cameras, and the rectified pair
 tracking                from images to tracks
 recordings              room: files
@@ -68,9 +69,9 @@ if TYPE_CHECKING:
 __version__ = "0.2.0"
 __all__ = [
     "Drive", "InverseDepth", "Noise", "RightInvariant", "RightPerturbation", "StereoCamera", "association", "audit",
-    "batch", "belief", "drive", "ekf_slam", "error_state", "imu", "inertial", "inverse_depth", "kalman", "lens",
-    "load", "mapping", "metrics", "motion", "noise", "normal_equations", "odometry", "plots", "recordings", "robust",
-    "se3", "simulate", "smoother", "stereo", "studies", "tracking", "widgets", "window_slam"]
+    "batch", "belief", "drive", "ekf_slam", "error_state", "imu", "inertial", "inertial_batch", "inverse_depth",
+    "kalman", "lens", "load", "mapping", "metrics", "motion", "noise", "normal_equations", "odometry", "plots",
+    "recordings", "robust", "se3", "simulate", "smoother", "stereo", "studies", "tracking", "widgets", "window_slam"]
 
 _DEFINED_IN = {"load": "recordings", "Drive": "drive", "Noise": "noise", "StereoCamera": "stereo",
                "RightPerturbation": "error_state", "RightInvariant": "error_state", "InverseDepth": "error_state"}

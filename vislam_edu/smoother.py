@@ -53,14 +53,17 @@ def _undo_update(lam: np.ndarray, Lam: np.ndarray, step: Step,
                  settings: UpdateSettings) -> tuple[np.ndarray, np.ndarray]:
     """Back through the update of one frame. lam (d, 1), Lam (d, d), over the landmarks of the prior."""
     prior, accepted = step.prior, step.innovation.accepted
-    ids = step.innovation.ids[accepted]
-    if len(ids) == 0:
+    if not accepted.any():
         return lam, Lam
-    H = window_slam.linearise(prior, ids, settings)[0].blocks(len(prior.ids))
-    residual = stereo.reduce_rows(step.innovation.residual[accepted])
+    linearised, residual = window_slam.linearise(prior, step.innovation.ids, settings)[0], step.innovation.residual
+    if settings.predict_again:
+        prior, _, linearised, residual, _ = window_slam.relinearise(prior, linearised, step.innovation, settings)
+    else:
+        linearised, residual = linearised.only(accepted), residual[accepted]
+    H, residual = linearised.blocks(len(prior.ids)), stereo.reduce_rows(residual)
     HP = blockwise.times_H(prior.covariance, *H)
     S = blockwise.times_H(HP.T, *H)
-    S[np.diag_indices(len(S))] += np.tile(settings.noise.sigma_px**2 * stereo.ROW_VARIANCE, len(ids))
+    S[np.diag_indices(len(S))] += np.tile(settings.noise.sigma_px**2 * stereo.ROW_VARIANCE, len(residual))
     L = cholesky(S, lower=True, check_finite=False)
 
     def solve(b: np.ndarray, trans: str = "N") -> np.ndarray:
@@ -202,6 +205,9 @@ def final_map(drive: Drive, noise: Noise, error_state: ErrorState | None = None,
                 _settle(final, step.posterior, np.zeros(n, bool), lam[3 * n:], Lam[3 * n:, 3 * n:], error_state)
             if earlier is None:
                 break
+            kept = window_slam.marginalise(earlier.posterior,
+                                           window_slam.contains(step.prior.ids, earlier.posterior.ids))
+            settings = replace(settings, predict_again=model.second_prediction(kept, earlier.k))
             lam, Lam = _undo_birth(lam, Lam, step, settings)
             lam, Lam = _undo_update(lam, Lam, step, settings)
             transition = model.transition(earlier.posterior, earlier.k)

@@ -194,7 +194,7 @@ BROKEN_NPZ = {
     "never seen": (NPZ | {"features": np.full_like(FEATURES, -1)}, "features: the recording is empty"),
     "no frame": (NPZ | {"time_stamps": np.empty((1, 0)), "features": np.empty((4, 3, 0)),
                         "linear_velocity": np.empty((3, 0)), "angular_velocity": np.empty((3, 0))},
-                 "the recording is empty"),
+                 "features: missing"),
     "K not a matrix": (NPZ | {"K": K[:2]}, "K"),
     "K transposed": (NPZ | {"K": K.T}, "K"),
     "K negative": (NPZ | {"K": put(K, (0, 0), -1)}, "K"),

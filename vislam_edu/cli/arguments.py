@@ -52,6 +52,8 @@ def add_recording(parser):
     parser.add_argument("--ground-truth", type=Path, metavar="FILE",
                         help="true poses of the left camera: KITTI (12 numbers a row) or TUM "
                              "(time x y z qx qy qz qw); or of the IMU: csv of EuRoC or TUM-VI")
+    parser.add_argument("--accelerometer", type=Path, metavar="FILE",
+                        help="gyro and accelerometer in the recording's clock: csv of EuRoC (imu0/data.csv)")
     parser.add_argument("--extrinsics", metavar="READING",
                         help="how to read extL_T_imu and extR_T_imu: imu_T_regular, optical_T_imu, imu_T_optical or "
                              "regular_T_imu (default: as the numbers say)")
@@ -84,6 +86,8 @@ def read_recording(arguments):
     from .. import recordings  # here, or --help would load numpy and scipy first
 
     drive = recordings.load(arguments.recording, arguments.extrinsics)
+    if arguments.accelerometer is not None:
+        drive = recordings.load_imu(arguments.accelerometer, drive)
     if arguments.ground_truth is not None:
         drive = recordings.load_ground_truth(arguments.ground_truth, drive)
     if (arguments.first, arguments.stop) != (0, None):

@@ -78,6 +78,8 @@ def _ending(solution):
 def _truth_beside(drive, world_T_imu):
     """The true poses (T, 4, 4) in the world of the estimated ones."""
     truth = drive.true_world_T_imu
+    if drive.imu is not None:
+        return truth  # `run_pipeline` has put it into the world of the estimate
     first = np.flatnonzero(np.isfinite(truth[:, 0, 0]))[0]
     return world_T_imu[first] @ truth if first else truth  # one that starts late is in the frame of its own first pose
 
@@ -219,6 +221,7 @@ def description(drive) -> str:
         "source": drive.source,
         "frames": f"{drive.n_frames} in {drive.duration:.2f} s",
         "IMU sample for step k": drive.imu_sample,
+        "accelerometer": _imu(drive.imu),
         "speed": f"{np.linalg.norm(drive.twists[:, :3], axis=1).mean():.2f} m/s on average",
         "landmarks": f"{drive.n_landmarks}, in view at once {_spread(drive.visible)}",
         "frames of a track": _spread(length[drive.first_seen >= 0]),
@@ -235,6 +238,11 @@ def _spread(counts):
     if not len(counts):
         return "none"
     return f"{counts.min()} to {counts.max()}, {counts.mean():.1f} on average"
+
+
+def _imu(samples):
+    return "none" if samples is None else (f"{len(samples.times)} samples from {samples.times[0]:.2f} to "
+                                           f"{samples.times[-1]:.2f} s")
 
 
 def _truth(drive):

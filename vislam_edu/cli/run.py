@@ -34,6 +34,10 @@ def add_arguments(parser):
                         help="folder for figures, trajectories, result.npz and summary.json; made if missing")
     noise = parser.add_argument_group("noise, one standard deviation per sample and axis")
     add_noise(noise, preset=False)
+    noise.add_argument("--imu-noise", type=number(0, low_allowed=False), nargs=4,
+                       metavar=("GYRO", "ACC", "GYRO_WALK", "ACC_WALK"),
+                       help="of gyro and accelerometer, see imu.ImuNoise: their densities, rad/s and m/s^2 per root "
+                            "Hz, and the walks of their biases (default: as in the file, else those of an ADIS16448)")
     noise.add_argument("--report-noise", action="store_true",
                        help="the report's W and V where no other value is given (overconfident: try it)")
     joint = parser.add_argument_group("the joint filter")
@@ -61,13 +65,19 @@ def prepare(arguments):
     """
     import dataclasses
 
-    from .. import robust
+    from .. import inertial, robust
     from ..drive import DriveError
+    from ..imu import ImuNoise
     from ..noise import Noise
     from ..studies import pipeline, scale
 
     drive, options, warnings = read_recording(arguments), {}, []
     base = Noise.from_report() if arguments.report_noise else Noise()
+    if drive.imu is not None and arguments.audit:
+        raise OptionError("run: --audit judges an IMU that gives velocities: not with an accelerometer")
+    if arguments.imu_noise:
+        samples = inertial.samples_of(drive)
+        drive = drive.replace(imu=dataclasses.replace(samples, noise=ImuNoise(*arguments.imu_noise)))
     if arguments.audit:
         from ..audit import audit
 
@@ -121,11 +131,13 @@ def correct_lens(arguments, drive, noise):
 
 def batch_problem(arguments, drive, noise):
     """What `--batch` minimises. Raises OptionError or DriveError where nothing can be minimised."""
-    from .. import batch
+    from .. import batch, inertial, inertial_batch
     from ..drive import DriveError
     from ..studies import pipeline
 
     try:
+        if drive.imu is not None:
+            return inertial_batch.Problem(drive, noise, begin=inertial.initial(drive, noise))
         return (pipeline.batch_of_real_drive(drive, noise, scale_sigma=0.05) if arguments.audit
                 else batch.Problem(drive, noise))
     except DriveError as error:
@@ -143,6 +155,7 @@ def _on_all_cores():
 
 def run(arguments):
     """Run the filters and write their results; returns the exit status."""
+    import dataclasses
     from contextlib import nullcontext
     from functools import partial
 
@@ -182,7 +195,10 @@ def run(arguments):
         if unusable := breakdown.unusable(result):
             raise DriveError(f"{arguments.recording}: not finite, or with a covariance that is not positive definite: "
                              f"{', '.join(unusable)}; {breakdown.likely_reason(drive, noise)}")
-        smoothed = pipeline.run_batch(problem, result.slam.trajectory.world_T_imu) if problem else None
+        smoothed = None
+        if problem:
+            problem = dataclasses.replace(problem, drive=result.drive)  # whose truth may be in another world by now
+            smoothed = pipeline.run_batch(problem, result.slam.trajectory.world_T_imu)
         numbers = outputs.write(result, folder, smoothed, found, [*ground_truth_doubts(arguments, drive), *warnings])
     if not arguments.quiet:
         print(outputs.table(numbers))

@@ -94,18 +94,20 @@ class StreetImages:
         """Depths (...) along rays (..., 3) to ground, block or outer walls, inf where none, and the axis each faces."""
         with np.errstate(divide="ignore", invalid="ignore"):
             ground = np.where(ray[..., 2] < 0, (_GROUND - origin[2]) / ray[..., 2], np.inf)
-            slabs = [np.sort([(self.low + width - origin[:2]) / ray[..., :2],
-                              (self.high - width - origin[:2]) / ray[..., :2]], axis=0) for width in (_WIDTH, -_WIDTH)]
-        enter, leave = slabs[0][0].max(axis=-1), slabs[0][1].min(axis=-1)
+            (low, high), (outer_low, outer_high) = (
+                ((self.low + width - origin[:2]) / ray[..., :2], (self.high - width - origin[:2]) / ray[..., :2])
+                for width in (_WIDTH, -_WIDTH))
+        into, out_of, outer = np.minimum(low, high), np.maximum(low, high), np.maximum(outer_low, outer_high)
+        enter, leave = np.maximum(into[..., 0], into[..., 1]), np.minimum(out_of[..., 0], out_of[..., 1])
+        walls = np.minimum(outer[..., 0], outer[..., 1])
         block = np.where((enter < leave) & (enter > 0), enter, np.inf)
-        walls = slabs[1][1].min(axis=-1)
         candidates = [ground]
         for depth, top in ((block, _INNER_HEIGHT), (walls, _OUTER_HEIGHT)):
             up = origin[2] + np.where(np.isfinite(depth), depth, 0.0) * ray[..., 2]
             candidates.append(np.where(up < top, depth, np.inf))
-        axes = np.stack([np.full(ground.shape, 2), slabs[0][0].argmax(axis=-1), slabs[1][1].argmin(axis=-1)])
-        nearest = np.argmin(candidates, axis=0)
-        depth, axis = (np.take_along_axis(values, nearest[None], axis=0)[0] for values in (np.array(candidates), axes))
+        depth = np.minimum.reduce(candidates)
+        across = np.where(depth == candidates[1], into[..., 1] == enter, outer[..., 1] == walls)  # 1 where y is faced
+        axis = np.where(depth == ground, 2, across)
         return depth, axis
 
     @cached_property
@@ -121,8 +123,9 @@ class StreetImages:
         for octave in range(6):
             wave = 4.0 / 2**octave  # m
             weight = np.clip(wave / covers - 2.0, 0.0, 1.0)
-            cells = np.moveaxis(where * (8 / wave) + 91.7 * octave, -1, 0)
-            total += weight * ndimage.map_coordinates(self._octaves, cells, order=1, mode="grid-wrap")
+            seen = weight > 0
+            cells = (where[seen] * (8 / wave) + 91.7 * octave).T
+            total[seen] += weight[seen] * ndimage.map_coordinates(self._octaves, cells, order=1, mode="grid-wrap")
         return total / 2.0
 
 
