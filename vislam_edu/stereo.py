@@ -217,7 +217,8 @@ class StereoCamera:
         (...), False where the point is not in front of the camera and the pixels are those of `PLACEHOLDER`.
         Pixels may lie outside the image: the camera does not know its size.
         """
-        return self.project_homogeneous(_homogeneous(points_cam))
+        q, in_front = _homogeneous(points_cam)
+        return np.matvec(self.K_s, pi(q)), in_front
 
     def project_homogeneous(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """As `project`, of points (..., 4) [x, y, z, rho] at [x, y, z] / rho, 1/m; rho may be zero or negative."""
@@ -235,7 +236,8 @@ class StereoCamera:
         This Jacobian and those below are finite everywhere, but where `project` says that a point is not in
         front they belong to `PLACEHOLDER` and must not be used.
         """
-        return self.homogeneous_jacobian(_homogeneous(points_cam))
+        q, _ = _homogeneous(points_cam)
+        return self.K_s @ dpi_dq(q)
 
     def measurement_jacobian(self, points_cam: np.ndarray) -> np.ndarray:
         """Derivative of the pixels by the point in the IMU frame: `J = K_s dpi/dq cam_T_imu P^T`.
@@ -304,10 +306,10 @@ class StereoCamera:
         return sigma_px**2 * np.linalg.inv(np.swapaxes(H, -1, -2) @ H)
 
 
-def _homogeneous(points: ArrayLike) -> np.ndarray:
-    """Homogeneous coordinates (..., 4) of points (..., 3)."""
+def _homogeneous(points: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
+    """Homogeneous coordinates (..., 4) of points (..., 3), placeholders where not in front, and the mask."""
     points = checked(points, (3,), "points")
-    return np.concatenate([points, np.ones(points.shape[:-1] + (1,))], axis=-1)
+    return _seen(np.concatenate([points, np.ones(points.shape[:-1] + (1,))], axis=-1))
 
 
 def _seen(q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
