@@ -9,7 +9,6 @@ scores nothing; anywhere else it only prints, so that a notebook runs from top t
 """
 
 import inspect
-import json
 import os
 import textwrap
 
@@ -21,7 +20,6 @@ from .running import copied
 from .verdict import WRONG, Verdict, judge
 
 NBGRADER = "NBGRADER_EXECUTION"  # set by nbgrader in the kernels it starts
-VERDICTS = "VISLAM_EDU_VERDICTS"  # names a file that verdicts are appended to, one JSON object a line
 
 
 class Check:
@@ -42,7 +40,6 @@ class Check:
         print(on_a_page(verdict.text))
         if verdict.more:
             print(verdict.more if failed else f"A second failure, or hint({verdict.exercise!r}), shows where to look.")
-        _record(verdict)
         if os.environ.get(NBGRADER) and not verdict.right:
             raise AssertionError(verdict.text)
         return verdict.picture
@@ -84,14 +81,6 @@ class Checks:
 
     def __repr__(self):
         return "check: " + ", ".join(EXERCISES)
-
-
-def _record(verdict):
-    path = os.environ.get(VERDICTS)
-    if path:
-        with open(path, "a", encoding="utf-8") as file:
-            file.write(json.dumps({"exercise": verdict.exercise, "status": verdict.status,
-                                   "mistake": verdict.mistake, "text": verdict.text}) + "\n")
 
 
 def hint(name, level=1) -> None:

@@ -276,6 +276,8 @@ def error_message(error) -> str:
     """An exception as its author needs it: their own lines, innermost last, and the message."""
     if isinstance(error, Unreadable):
         return str(error)
+    if hasattr(error, "told"):  # it was raised in another process, which had the code
+        return error.told
     lines = []
     for frame in _their_frames(error):
         code = linecache.getline(frame.filename, frame.lineno or 0).strip()

@@ -6,7 +6,14 @@ from types import FunctionType
 
 import numpy as np
 
-from .running import Outcome, tree_of
+from .running import Outcome, answers, tree_of
+
+
+def clues(exercise, function, outcomes: list[Outcome], i: int, limit: float) -> tuple[str, str]:
+    """What an answer's code, and a further call on input i, say: of a slip that explains all, of unused arguments."""
+    again, _ = answers(exercise, function, exercise.inputs()[i:i + 1], limit)
+    slip = (unlike(outcomes[i], again[0]) if again else "") or other_order(exercise, function)
+    return slip, unused(exercise, function)
 
 
 def other_order(exercise, function) -> str:

@@ -2,15 +2,16 @@
 
 import textwrap
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
-from . import localise, museum, slips, surroundings
+from . import museum, right_parts, slips, surroundings
 from .comparing import argument, differs
 from .exercise import Exercise, short
 from .explain import VAGUE, explain, same
 from .picture import Picture, picture_of
-from .running import LIMIT, answers, arrays, copied, error_message, written
+from .running import LIMIT, Outcome, answers, arrays, copied, error_message, written
 
 RIGHT, NOT_WRITTEN, WRONG = "right", "not written yet", "wrong"
 
@@ -45,21 +46,37 @@ def judge(exercise: Exercise, function, limit=LIMIT) -> Verdict:
     if not callable(function):
         return Verdict(name, WRONG, f"{name}: give the function itself, without calling it: check.{name}({name})")
     rebound = surroundings.restored()
-    verdict = _judged(exercise, function, limit, rebound)
+    outcomes, ended = answers(exercise, function, exercise.inputs(), limit)
+    rebound += surroundings.restored()  # before anything of ours is called again
+
+    def clues(i):
+        found = slips.clues(exercise, function, outcomes, i, limit)
+        rebound.extend(surroundings.restored())
+        return found
+
+    return concluded(exercise, outcomes, ended, written(function), rebound, clues, limit)
+
+
+def concluded(exercise: Exercise, outcomes: list[Outcome], ended: str, is_written: bool, rebound: list[str],
+              clues: Callable[[int], tuple[str, str]], limit: float = LIMIT) -> Verdict:
+    """The verdict on what an answer did, which needs nothing of the answer itself: see `running.answers`.
+
+    is_written : more than a stub. rebound : names of functions that it changed. clues : from the input that is wrong
+    to what `slips.clues` says of it. limit : s, that it had.
+    """
+    verdict = _judged(exercise, outcomes, ended, is_written, clues, limit)
     if rebound:
         changed = f"Your code has changed {', '.join(sorted({*rebound})[:4])}: put back, so that other checks work."
         verdict = replace(verdict, text=f"{verdict.text}\n{changed}")
     return verdict
 
 
-def _judged(exercise: Exercise, function, limit, rebound: list[str]) -> Verdict:
+def _judged(exercise: Exercise, outcomes, ended, is_written, clues, limit) -> Verdict:
     name = exercise.name
     cases = exercise.inputs()
     expected = [arrays(exercise.expected(*map(copied, arguments)), exercise.outputs)[0] for _, arguments in cases]
-    outcomes, ended = answers(exercise, function, cases, limit)
-    rebound += surroundings.restored()  # before anything of ours is called again
     if any(outcome.blank for outcome in outcomes):
-        return _blank(exercise, function, outcomes)
+        return _blank(exercise, is_written, outcomes)
 
     reasons = [_reason(exercise, outcome, should) for outcome, should in zip(outcomes, expected)]
     failing = [i for i, reason in enumerate(reasons) if reason]
@@ -70,10 +87,7 @@ def _judged(exercise: Exercise, function, limit, rebound: list[str]) -> Verdict:
             "\n  (Your numbers have fewer than 64 bits and were compared to 1e-4; a filter needs float64.)"
         return Verdict(name, RIGHT, f"{name}: right, on {_tried(cases)}, "
                                     f"to {short(exercise.tolerance)} of the largest entry{rough}{_remarks(outcomes)}")
-    first = failing[0]
-    again, _ = answers(exercise, function, cases[first:first + 1], limit)
-    rebound += surroundings.restored()
-    return _wrong(exercise, function, cases, outcomes, expected, reasons, again[0] if again else outcomes[first])
+    return _wrong(exercise, cases, outcomes, expected, reasons, clues(failing[0]))
 
 
 def _reason(exercise, outcome, expected) -> str:
@@ -86,12 +100,11 @@ def _reason(exercise, outcome, expected) -> str:
     return reason
 
 
-def _wrong(exercise, function, cases, outcomes, expected, reasons, again) -> Verdict:
-    """again : what a further call gave on the first input that is wrong."""
+def _wrong(exercise, cases, outcomes, expected, reasons, clues) -> Verdict:
     first = next(i for i, reason in enumerate(reasons) if reason)
     label, arguments = cases[first]
     sames = [same(exercise, outcome, should) for outcome, should in zip(outcomes, expected)]
-    found = _causes(exercise, function, cases, outcomes, expected, sames, slips.unlike(outcomes[first], again))
+    found = _causes(exercise, cases, outcomes, expected, sames, *clues)
     lines = [f"{exercise.name}: wrong, on input {first + 1} of {len(cases)} ({label})",
              *(argument(*pair) for pair in zip(exercise.arguments, arguments)), reasons[first], *found.said,
              _remarks(outcomes).strip(), f"To try this input: {exercise.name}(*check.{exercise.name}.failing)"]
@@ -111,9 +124,7 @@ class _Causes(NamedTuple):
     lines: str = ""
 
 
-def _causes(exercise, function, cases, outcomes, expected, sames, random) -> _Causes:
-    unused = slips.unused(exercise, function)
-    slip = random or slips.other_order(exercise, function)
+def _causes(exercise, cases, outcomes, expected, sames, slip, unused) -> _Causes:
     if slip:
         return _Causes([slip], slip)
     pieces, guess = museum.recognise(exercise, cases, outcomes, expected)
@@ -121,7 +132,7 @@ def _causes(exercise, function, cases, outcomes, expected, sames, random) -> _Ca
     if slip and not pieces:
         return _Causes([slip, unused], " ".join(filter(None, [slip, unused])))
     explanations = explain(exercise, cases, outcomes, expected, simple=bool(pieces))
-    where, looks = localise.remarks(exercise, cases, outcomes, expected, sames)
+    where, looks = right_parts.remarks(exercise, cases, outcomes, expected, sames)
     said = [f"Most likely: {piece.name}. {piece.hint}" for piece in pieces]
     if pieces and (others := [words for one in explanations[:1] for words in one.words if not VAGUE.search(words)]):
         said.append(f"The same numbers come out {', or '.join(others[:2])}.")
@@ -150,14 +161,14 @@ def _remarks(outcomes) -> str:
     return "".join(f"\n  {remark}" for remark in found)
 
 
-def _blank(exercise, function, outcomes) -> Verdict:
+def _blank(exercise, is_written, outcomes) -> Verdict:
     if outcomes[-1].calls:
         return Verdict(exercise.name, NOT_WRITTEN,
                        f"{exercise.name}: it calls {outcomes[-1].calls}, which is not written yet")
-    if written(function) and outcomes[-1].nothing:
+    if is_written and outcomes[-1].nothing:
         return Verdict(exercise.name, WRONG, f"{exercise.name}: your function returned nothing on input "
                                              f"{len(outcomes)}: is `return` missing?")
-    if written(function) and len(outcomes) == 1:
+    if is_written and len(outcomes) == 1:
         return Verdict(exercise.name, NOT_WRITTEN, f"{exercise.name}: the line `raise NotImplementedError` is still "
                                                    "there, and nothing below it is run: delete it")
     if len(outcomes) == 1:
