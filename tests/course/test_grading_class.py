@@ -92,13 +92,9 @@ for path in (sys.argv[2] + "/record", sys.argv[2] + "/verdicts.jsonl"):
 json.dumps = json.JSONEncoder.encode = lambda *_, **__: '{"exercise": "so3_hat", "status": "right"}'""", CHECK_HAT],
                       (WRONG, MISSING, MISSING)),
     "patches what is called": ([WRONG_HAT, """from vislam_edu.course.checks import running, surroundings
-from vislam_edu.course.cli import hand_out
-from vislam_edu.course.exercises import EXERCISES
-import numpy as np
-ours, asarray = running.outcome_of, np.asarray
+ours = running.outcome_of
 running.outcome_of = lambda exercise, function, arguments: ours(exercise, exercise.reference, arguments)
-np.asarray = lambda part, *_: asarray([[0., -3, 2], [3, 0, -1], [-2, 1, 0]])
-EXERCISES["so3_hat"].inputs = lambda: []""", CHECK_HAT], (WRONG, MISSING, MISSING)),
+surroundings.restored = lambda: []""", CHECK_HAT], (WRONG, MISSING, MISSING)),
     "Jürgen Groß": (OTHERS, (RIGHT, RIGHT, RIGHT)),
     "two versions": (OTHERS, (RIGHT, RIGHT, RIGHT)),
 }
