@@ -389,3 +389,11 @@ def test_a_sandbox_that_fails_later_is_a_row(tmp_path, monkeypatch):
     monkeypatch.setenv("PATH", os.pathsep.join([str(tmp_path / "bin"), os.environ["PATH"]]))
     found = grading.grade(grading.read(path, "a"), sandbox=sandbox.Sandbox("bwrap"))
     assert found.problem == "could not be run: no such image"
+
+
+def test_nothing_is_right_in_notebook_13_as_it_is_shipped(tmp_path):
+    shipped = Path(__file__).parents[2] / "notebooks" / "13_your_own_filter.ipynb"
+    assert cli.main(["exercises", "--report", str(shipped), "--out", str(tmp_path)]) == 0
+    [entry] = json.loads((tmp_path / "exercises.json").read_text(encoding="utf-8"))
+    assert len(entry["exercises"]) == len([one for one in EXERCISES.values() if one.chapter == 13])
+    assert {result["status"] for result in entry["exercises"]} == {grading.NOT_WRITTEN}

@@ -272,8 +272,9 @@ def _result(exercise, entry, cells) -> Result:
         verdict = judge(exercise, None)
     else:
         try:
+            slip, unused = map(shown, entry["clues"])
             verdict = concluded(exercise, list(map(submission.received, entry["outcomes"])), entry["ended"],
-                                entry["is_written"], entry["rebound"])
+                                entry["is_written"], entry["rebound"], lambda _: (slip, unused))
         except Exception as error:  # arrays of numbers can still be such that mathematics fails on them
             return Result(exercise.name, NO_VERDICT, detail=f"not judged: {shown(error)}")
     if verdict.right:

@@ -20,8 +20,8 @@ from pathlib import Path
 import numpy as np
 
 from ..ch13 import capstone
-from ..checks import surroundings
-from ..checks.running import Outcome, Unreadable, answers, error_message, written
+from ..checks import slips, surroundings
+from ..checks.running import LIMIT, Outcome, Unreadable, answers, error_message, written
 from ..exercises import EXERCISES
 from . import borrowing
 
@@ -153,9 +153,10 @@ def tried(name: str, function: Callable) -> dict:
     uses: set[str] = set()
     rebound = surroundings.restored()
     outcomes, ended = answers(exercise, borrowing.watched(function, uses), exercise.inputs())
+    clues = slips.clues(exercise, function, outcomes, 0, LIMIT) if outcomes else ("", "")
     rebound += surroundings.restored()
     return {"outcomes": list(map(_sent, outcomes)), "ended": ended, "is_written": written(function),
-            "rebound": rebound, "uses": sorted(uses), "here": borrowing.in_notebook(function)}
+            "rebound": rebound, "clues": clues, "uses": sorted(uses), "here": borrowing.in_notebook(function)}
 
 
 def _sent(outcome: Outcome) -> dict:
