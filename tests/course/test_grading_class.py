@@ -258,8 +258,7 @@ def test_a_list_of_points_that_is_none_says_where(tmp_path, text, words):
 def through_data(exercise, function):
     """The verdict of the grader: what the function did crosses as JSON."""
     entry = json.loads(json.dumps(submission.tried(exercise.name, function)))
-    return concluded(exercise, list(map(submission.received, entry["outcomes"])), entry["ended"], entry["is_written"],
-                     entry["rebound"])
+    return concluded(exercise, submission.received(entry["attempt"]))
 
 
 class Cunning:
@@ -269,10 +268,18 @@ class Cunning:
         return np.array([[0.0, -3, 2], [3, 0, -1], [-2, 1, 0]])
 
 
+OUTSIDE = np.array([1.0, 2.0, 3.0])
+
+
+def outside(omega):
+    return np.diag(OUTSIDE)
+
+
 @pytest.mark.parametrize("function", [
-    lambda omega: Cunning(), lambda omega: 1 / 0, lambda omega: [[1], [1, 2]], lambda omega: np.zeros((2000, 2000)),
+    outside, lambda omega, more: 0, lambda omega: Cunning(), lambda omega: 1 / 0, lambda omega: [[1], [1, 2]],
+    lambda omega: np.zeros((2000, 2000)), lambda omega: omega[:, None] * omega[None, :2],
     lambda omega: (row for row in omega), lambda omega: np.full((3, 3), np.nan), lambda omega: omega.fill(0),
-    lambda omega: omega[:, None] * omega[None, :2], lambda omega: np.diag(omega).astype(np.float32), lambda: 0, lambda omega: b"\xff".decode()])
+    lambda omega: np.diag(omega).astype(np.float32), lambda: 0, lambda omega: b"\xff".decode()])
 def test_the_verdict_is_that_of_the_notebook(function):
     exercise = EXERCISES["so3_hat"]
     told, here = through_data(exercise, function).text, judge(exercise, function).text

@@ -17,7 +17,7 @@ from .edit import plain_source
 from .exercise import EXERCISES, find
 from .picture import Picture
 from .running import copied
-from .verdict import Verdict, judge
+from .verdict import WRONG, Verdict, judge
 
 NBGRADER = "NBGRADER_EXECUTION"  # set by nbgrader in the kernels it starts
 
@@ -31,9 +31,15 @@ class Check:
         self.__doc__ = exercise.statement
 
     def __call__(self, function) -> Picture | None:
-        """Try the function and print the verdict; a notebook shows the picture of what is wrong, where there is one."""
+        """Try the function and print the verdict; a notebook shows the picture of what is wrong, where there is one.
+
+        At the second failure one after the other it shows the lines of a plain answer, which `hint` does as well.
+        """
+        failed = self.last is not None and self.last.status == WRONG
         verdict = self.verdict(function)
         print(on_a_page(verdict.text))
+        if verdict.more:
+            print(verdict.more if failed else f"A second failure, or hint({verdict.exercise!r}), shows where to look.")
         if os.environ.get(NBGRADER) and not verdict.right:
             raise AssertionError(verdict.text)
         return verdict.picture
@@ -83,6 +89,9 @@ def hint(name, level=1) -> None:
     if level not in range(1, len(hints) + 1):
         raise ValueError(f"{name} has hints 1 to {len(hints)}, not {level!r}; what is left is solution({name!r})")
     print(on_a_page(f"{name}, hint {level} of {len(hints)}: {hints[level - 1]}"))
+    last = getattr(check, name).last
+    if last is not None and last.more:
+        print(last.more)
 
 
 def solution(name) -> None:

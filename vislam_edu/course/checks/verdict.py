@@ -1,12 +1,15 @@
 """The verdict on an answer: right, not written yet, or wrong, and then why."""
 
+import inspect
+import textwrap
 from collections import Counter
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
-from . import localise, museum, surroundings
+from . import localise, museum, slips, surroundings
 from .comparing import argument, differs
 from .exercise import Exercise, short
-from .explain import explain, same
+from .explain import VAGUE, explain, same
 from .picture import Picture, picture_of
 from .running import LIMIT, Outcome, answers, arrays, copied, error_message, written
 
@@ -20,7 +23,7 @@ class Verdict:
     status : RIGHT, NOT_WRITTEN or WRONG. text : what the student reads. mistake : its name in the museum where
     it was recognised, else words for what gives the same numbers, else "". located : what of the result is right,
     or what its numbers look like, is said. failing : the arguments of the first input that came out wrong, else None.
-    picture : of its result there, where a result has one.
+    picture : of its result there, where a result has one. more : lines of a plain answer, for a second failure.
     """
 
     exercise: str
@@ -30,6 +33,7 @@ class Verdict:
     failing: tuple | None = None
     located: bool = False
     picture: Picture | None = None
+    more: str = ""
 
     @property
     def right(self) -> bool:
@@ -37,35 +41,67 @@ class Verdict:
 
 
 def judge(exercise: Exercise, function, limit=LIMIT) -> Verdict:
-    """Put an answer to all inputs of its exercise. limit : s, for all of them together."""
+    """Put an answer to all inputs of its exercise. limit : s of CPU time, for all of them together."""
     name = exercise.name
     if not callable(function):
         return Verdict(name, WRONG, f"{name}: give the function itself, without calling it: check.{name}({name})")
-    rebound = surroundings.restored()
-    outcomes, ended = answers(exercise, function, exercise.inputs(), limit)
-    rebound += surroundings.restored()  # before anything of ours is called again
-    return concluded(exercise, outcomes, ended, written(function), rebound, limit)
+    return concluded(exercise, attempt(exercise, function, limit), limit)
 
 
-def concluded(exercise: Exercise, outcomes: list[Outcome], ended: str, is_written: bool, rebound: list[str],
-              limit: float = LIMIT) -> Verdict:
-    """The verdict on what an answer did, which needs nothing of the answer itself: see `running.answers`.
+@dataclass(frozen=True, eq=False)
+class Attempt:
+    """What an answer did: all that a verdict needs, and nothing of the answer itself.
 
-    is_written : more than a stub. rebound : names of functions that it changed. limit : s, that it had.
+    outcomes, ended : see `running.answers`. again : of a further call on the first input that came out wrong.
+    is_written : more than a stub. rebound : names of functions that it changed. order, unused : see `slips`.
     """
-    verdict = _judged(exercise, outcomes, ended, is_written, limit)
-    if rebound:
-        changed = f"Your code has changed {', '.join(sorted({*rebound})[:4])}: put back, so that other checks work."
-        verdict = replace(verdict, text=f"{verdict.text}\n{changed}")
+
+    outcomes: list[Outcome]
+    ended: str
+    again: Outcome | None
+    is_written: bool
+    rebound: list[str]
+    order: str
+    unused: str
+
+
+def attempt(exercise: Exercise, function, limit: float = LIMIT) -> Attempt:
+    """Put an answer to all inputs of its exercise. limit : s of CPU time, for all of them together."""
+    rebound = surroundings.restored()
+    cases = exercise.inputs()
+    outcomes, ended = answers(exercise, function, cases, limit)
+    rebound += surroundings.restored()  # before anything of ours is called again
+    again: list[Outcome] = []
+    if not any(outcome.blank for outcome in outcomes):
+        reasons = map(_reason, [exercise] * len(cases), outcomes, _expected(exercise, cases))
+        first = next((i for i, reason in enumerate(reasons) if reason), len(cases))
+        again, _ = answers(exercise, function, cases[first:first + 1], limit)
+        rebound += surroundings.restored()
+    own = inspect.unwrap(function)  # the grader watches it from outside
+    return Attempt(outcomes, ended, again[0] if again else None, written(own), rebound,
+                   slips.other_order(exercise, own), slips.unused(exercise, own))
+
+
+def _expected(exercise, cases) -> list:
+    return [arrays(exercise.expected(*map(copied, arguments)), exercise.outputs)[0] for _, arguments in cases]
+
+
+def concluded(exercise: Exercise, made: Attempt, limit: float = LIMIT) -> Verdict:
+    """The verdict on an attempt. limit : s, that it had."""
+    verdict = _judged(exercise, made, limit)
+    if made.rebound:
+        names = ", ".join(sorted({*made.rebound})[:4])
+        verdict = replace(verdict, text=f"{verdict.text}\nYour code has changed {names}: put back, so that other checks "
+                                        "work.")
     return verdict
 
 
-def _judged(exercise: Exercise, outcomes, ended, is_written, limit) -> Verdict:
-    name = exercise.name
+def _judged(exercise: Exercise, made: Attempt, limit) -> Verdict:
+    name, outcomes, ended = exercise.name, made.outcomes, made.ended
     cases = exercise.inputs()
-    expected = [arrays(exercise.expected(*map(copied, arguments)), exercise.outputs)[0] for _, arguments in cases]
+    expected = _expected(exercise, cases)
     if any(outcome.blank for outcome in outcomes):
-        return _blank(exercise, is_written, outcomes)
+        return _blank(exercise, made.is_written, outcomes)
 
     reasons = [_reason(exercise, outcome, should) for outcome, should in zip(outcomes, expected)]
     failing = [i for i, reason in enumerate(reasons) if reason]
@@ -76,7 +112,7 @@ def _judged(exercise: Exercise, outcomes, ended, is_written, limit) -> Verdict:
             "\n  (Your numbers have fewer than 64 bits and were compared to 1e-4; a filter needs float64.)"
         return Verdict(name, RIGHT, f"{name}: right, on {_tried(cases)}, "
                                     f"to {short(exercise.tolerance)} of the largest entry{rough}{_remarks(outcomes)}")
-    return _wrong(exercise, cases, outcomes, expected, reasons)
+    return _wrong(exercise, made, cases, expected, reasons)
 
 
 def _reason(exercise, outcome, expected) -> str:
@@ -84,35 +120,67 @@ def _reason(exercise, outcome, expected) -> str:
         return error_message(outcome.error)
     reason = differs(exercise, outcome, expected)
     if outcome.changed:
-        changed = f"your function changes its argument {' and '.join(outcome.changed)}: work on a copy"
-        return f"{reason}\nand {changed}" if reason else changed
+        changed = f"our function changes its argument {' and '.join(outcome.changed)}: work on a copy"
+        return f"{reason}\nand y{changed}" if reason else f"Y{changed}"
     return reason
 
 
-def _wrong(exercise, cases, outcomes, expected, reasons) -> Verdict:
+def _wrong(exercise, made, cases, expected, reasons) -> Verdict:
+    outcomes = made.outcomes
     first = next(i for i, reason in enumerate(reasons) if reason)
     label, arguments = cases[first]
-    lines = [f"{exercise.name}: wrong, on input {first + 1} of {len(cases)} ({label})"]
-    lines += [argument(*pair) for pair in zip(exercise.arguments, arguments)]
-    lines.append(reasons[first])
-    pieces, guess = museum.recognise(exercise, cases, outcomes, expected)
-    explanations = explain(exercise, cases, outcomes, expected, simple=bool(pieces))
     sames = [same(exercise, outcome, should) for outcome, should in zip(outcomes, expected)]
-    where = localise.remarks(exercise, cases, outcomes, expected, sames)
-    lines += [f"Most likely: {piece.name}. {piece.hint}" for piece in pieces]
-    if pieces and explanations:
-        lines.append("The same numbers come out " + ", or ".join(explanations[:2]) + ".")
-    elif explanations:
-        lines.append("Your result is what one gets " + ",\n  or ".join(explanations) + ".")
+    random = slips.unlike(outcomes[first], made.again or outcomes[first])
+    found = _causes(exercise, made, cases, expected, sames, random)
+    lines = [f"{exercise.name}: wrong, on input {first + 1} of {len(cases)} ({label})",
+             *(argument(*pair) for pair in zip(exercise.arguments, arguments)), reasons[first], *found.said,
+             _remarks(outcomes).strip(), f"To try this input: {exercise.name}(*check.{exercise.name}.failing)"]
+    more = f"In a plain answer these are the lines (- as in yours, + right):\n{textwrap.indent(found.lines, '  ')}"
+    return Verdict(exercise.name, WRONG, "\n".join(filter(None, lines)), found.mistake,
+                   tuple(map(copied, arguments)), located=found.located or outcomes[first].error is not None,
+                   picture=picture_of(exercise, outcomes[first].values or [], expected[first]),
+                   more=more if found.lines else "")
+
+
+class _Causes(NamedTuple):
+    """What is said about the cause; the rest as in Verdict. lines : of a plain answer, as a diff."""
+
+    said: list[str]
+    mistake: str = ""
+    located: bool = False
+    lines: str = ""
+
+
+def _causes(exercise, made, cases, expected, sames, random) -> _Causes:
+    outcomes, unused = made.outcomes, made.unused
+    slip = random or made.order
+    if slip:
+        return _Causes([slip], slip)
+    pieces, guess = museum.recognise(exercise, cases, outcomes, expected)
+    slip = slips.unmoved(exercise, outcomes, expected, sames) or slips.cut(exercise, outcomes, expected, sames)
+    if slip and not pieces:
+        return _Causes([slip, unused], " ".join(filter(None, [slip, unused])))
+    explanations = explain(exercise, cases, outcomes, expected, simple=bool(pieces))
+    where, looks = localise.remarks(exercise, cases, outcomes, expected, sames)
+    said = [f"Most likely: {piece.name}. {piece.hint}" for piece in pieces]
+    if pieces and (others := [words for one in explanations[:1] for words in one.words if not VAGUE.search(words)]):
+        said.append(f"The same numbers come out {', or '.join(others[:2])}.")
+    elif explanations and not pieces:
+        said += [f"Your result is what one gets {_together(explanations)}.", unused, *where]
     elif not pieces:
-        lines += [f"Perhaps: {guess.name}. {guess.hint}"] if guess else []
-        lines += where
-    lines += [_remarks(outcomes).strip()] if _remarks(outcomes) else []
-    lines.append(f"To try this input: {exercise.name}(*check.{exercise.name}.failing)")
-    mistake = next((piece.name for piece in [*pieces, *([] if explanations else [guess])] if piece), "")
-    return Verdict(exercise.name, WRONG, "\n".join(lines), mistake or "; ".join(explanations[:1]),
-                   tuple(map(copied, arguments)), located=bool(where) or outcomes[first].error is not None,
-                   picture=picture_of(exercise, outcomes[first].values or [], expected[first]))
+        said += [unused, *([f"Perhaps: {guess.name}. {guess.hint}"] if guess else []), *where, *looks]
+    named = [piece.name for piece in [*pieces, *([] if explanations else [guess])] if piece]
+    named += ["; ".join(explanation.words[0] for explanation in explanations)] if explanations else [unused]
+    lines = [piece.lines() for piece in pieces] + [explanation.lines for explanation in explanations]
+    return _Causes(said, named[0], bool(where or looks), next(filter(None, lines), ""))
+
+
+def _together(explanations) -> str:
+    """Words for the explanations of all results together, or for one of each wrong result."""
+    if len(explanations) == 1:
+        return ", or ".join(explanations[0].words)
+    texts = ((explanation.words[0], f"(in {explanation.result})") for explanation in explanations)
+    return " and ".join(text if text.endswith(name) else f"{text} {name}" for text, name in texts)
 
 
 def _remarks(outcomes) -> str:
@@ -140,9 +208,9 @@ def _too_slow(exercise, case, ended, limit) -> Verdict:
     label, arguments = case
     still = "" if ended == "stopped" else "\nIt could not be stopped and still runs: restart the kernel."
     return Verdict(exercise.name, WRONG, "\n".join([
-        f"{exercise.name}: wrong, still no answer after {limit:g} s, on the input ({label})",
+        f"{exercise.name}: wrong, still no answer after {limit:g} s of computing, on the input ({label})",
         *(argument(*pair) for pair in zip(exercise.arguments, arguments)),
-        f"Does a loop never end?{still}"]), failing=tuple(map(copied, arguments)))
+        f"Does a loop never end, or does it wait for something?{still}"]), failing=tuple(map(copied, arguments)))
 
 
 def _tried(cases) -> str:
