@@ -91,8 +91,8 @@ def concluded(exercise: Exercise, made: Attempt, limit: float = LIMIT) -> Verdic
     verdict = _judged(exercise, made, limit)
     if made.rebound:
         names = ", ".join(sorted({*made.rebound})[:4])
-        verdict = replace(verdict, text=f"{verdict.text}\nYour code has changed {names}: put back, so that other checks "
-                                        "work.")
+        verdict = replace(verdict, text=f"{verdict.text}\nYour code has changed {names}: put back, so that other "
+                                        "checks work.")
     return verdict
 
 
