@@ -20,10 +20,10 @@ from .edit import wrong_source
 from .exercise import Exercise, Mistake
 from .running import Outcome, outcome_of, within
 
-CANDIDATES = 3500  # tried at most; counted, so that a verdict does not depend on how busy the machine is
+CANDIDATES = 2500  # tried at most; counted, so that a verdict does not depend on how busy the machine is
 LIMIT = 30.0  # s of CPU time, the last resort: the longest search takes 3 s
 SHOWN = 3  # explanations that fit alike and are listed
-VAGUE = re.compile("a part(?! of)|one variable")
+VAGUE = re.compile("a part(?! of)|one variable|a number|another number")  # words that do not say where
 _COMMON = 2  # kinds of mutants up to this one are tried together with a second mistake
 
 
@@ -61,6 +61,7 @@ class Search:
     wrong: list[int] = field(default_factory=list)  # which results come out wrong on some input
     probe: int = 0  # the input on which candidates are tried first
     found: dict[int, dict[str, Candidate]] = field(default_factory=dict)
+    settled: set[int] = field(default_factory=set)  # results explained by a simpler level
     joint: dict[str, Candidate] = field(default_factory=dict)  # explain all results, the right ones included
     level: list[tuple[Candidate, list]] = field(default_factory=list)  # candidates and their values on the probe
     left: int = field(default_factory=lambda: CANDIDATES)
@@ -108,7 +109,7 @@ class Search:
         if all(fits):
             self.joint.setdefault(candidate.words, candidate)
         for k in self.wrong:
-            if fits[k]:
+            if fits[k] and k not in self.settled:
                 self.found[k].setdefault(candidate.words, candidate)
 
     @property
@@ -119,6 +120,7 @@ class Search:
         """The levels, the simplest first; ends with the first that explains everything."""
         for level in (self._mutants, self._arguments, self._results, self._two)[:1 if simple else 4]:
             level()
+            self.settled = {k for k in self.wrong if self.found[k]}
             if self.done:
                 return
 
@@ -132,7 +134,7 @@ class Search:
                 self.offer(words, _after(answer, change), keep=True)
 
     def _results(self) -> None:
-        """The right result changed, or equal to an argument; then wrong results changed."""
+        """The right result changed, or equal to an argument; a usual mistake in one result; wrong results changed."""
         shown = self.outcomes[self.probe].values
         names = self.exercise.arguments
         outputs = self.exercise.outputs
@@ -152,6 +154,8 @@ class Search:
         pieces = [(_piece(mistake), outcome.values) for mistake in self.exercise.mistakes
                   for outcome in [outcome_of(self.exercise, mistake.function, self.cases[self.probe][1])]
                   if outcome.values is not None]
+        for piece, _ in pieces:
+            self.offer(*piece)
         for candidate, values in [(Candidate("", self.exercise.reference), self.expected[self.probe]), *pieces,
                                   *self.level]:
             if candidate.words and self.done:
@@ -212,6 +216,9 @@ class Search:
             for mutant in mutants.of_source(source, piece.base, self.exercise.statement) if source else ():
                 if mutant.kind <= _COMMON:
                     self.offer(f"{_piece(piece).words}, and {mutant.words}", mutant.function, _both(piece, mutant))
+        common = [mutant for mutant in mutants.of_exercise(self.exercise) if mutant.kind < _COMMON]
+        for mutant in mutants.pairs(common):
+            self.offer(mutant.words, mutant.function, mutant.lines)
 
     def _with(self, function, k, change):
         """The function with result number k changed."""
@@ -277,5 +284,6 @@ def explain(exercise, cases, outcomes, expected, simple=False) -> list[Explanati
 
 def _explanation(found: dict[str, Candidate], result: str = "") -> Explanation:
     """Those first that say which part it is."""
-    best = sorted(found.values(), key=lambda candidate: bool(VAGUE.search(candidate.words)))
+    best = sorted(found.values(), key=lambda one: (
+        bool(VAGUE.search(one.words)), not re.search("`|mistake", one.words)))
     return Explanation([candidate.words for candidate in best[:SHOWN]], best[0].lines(), result)

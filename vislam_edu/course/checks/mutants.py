@@ -7,6 +7,7 @@ The change is made in the syntax tree of the answer. Each mutant comes with word
 import ast
 import contextlib
 import functools
+import itertools
 import re
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -21,7 +22,8 @@ from .exercise import Exercise
 _SCOPE = {"np": np, "kalman": kalman, "se3": se3, "stereo": stereo}  # what a change may name
 
 # Functions that are easily taken for each other, and words for that.
-_TWINS = [("np.sin", "np.cos", "sine and cosine exchanged"), ("np.log", "np.log10", "a logarithm to another base"),
+_TWINS = [("np.sin", "np.cos", "sine and cosine exchanged"), ("np.sum", "np.mean", "sum and mean exchanged"),
+          ("np.log", "np.log10", "a logarithm to another base"),
           ("chi2.ppf", "chi2.cdf", "the distribution function of chi-square and its inverse exchanged"),
           ("np.zeros", "np.eye", "zeros and the identity exchanged"), ("min", "max", "minimum and maximum exchanged"),
           ("se3.left_jacobian", "se3.right_jacobian", "the left and the right Jacobian exchanged"),
@@ -55,6 +57,7 @@ _CALLED = {
     "se3.so3_exp": "the exponential", "se3.adjoint": "the Adjoint", "se3.so3_hat": "a skew-symmetric matrix",
     "se3.inverse": "the inverse of a pose", "se3.left_jacobian": "the left Jacobian", "len": "a number of entries",
     "se3.right_jacobian": "the right Jacobian", "np.sum": "a sum", "np.linalg.det": "the determinant",
+    "abs": "an absolute value", "np.sign": "the sign",
 }
 
 _Found = tuple[int, str, ast.AST, tuple[ast.AST, ...]]  # kind, words with a {} for each of some nodes, the new node
@@ -68,19 +71,30 @@ class Mutant:
     kind: int
     function: Callable
     tree: ast.Module
-    change: "_Change"
+    scope: Callable
+    changes: tuple["_Change", ...]
 
     def lines(self) -> str:
         """The lines of the plain answer that it changes, as a diff."""
-        with self.change.made():
+        with contextlib.ExitStack() as stack:
+            for change in self.changes:
+                stack.enter_context(change.made())
             wrong = ast.unparse(self.tree)
         return changed_lines(wrong, ast.unparse(self.tree), around=0)
 
 
+def pairs(mutants: list[Mutant]) -> Iterator[Mutant]:
+    """Two of these at once, where they change the same answer."""
+    for one, other in itertools.combinations(mutants, 2):
+        if one.tree is other.tree and (made := _mutant(
+                f"{one.words}, and {other.words}", other.kind, one.tree, one.scope, one.changes + other.changes)):
+            yield made
+
+
 def of_exercise(exercise: Exercise) -> list[Mutant]:
     """The mutants of the plain answers, the commonest kinds first."""
-    found = (mutant for answer in exercise.answers for mutant in of_source(plain_source(answer), answer,
-                                                                           exercise.statement))
+    known = " ".join([exercise.statement, *exercise.outputs])
+    found = (mutant for answer in exercise.answers for mutant in of_source(plain_source(answer), answer, known))
     return sorted(found, key=lambda mutant: mutant.kind)
 
 
@@ -88,14 +102,20 @@ def of_exercise(exercise: Exercise) -> list[Mutant]:
 def of_source(source: str, scope: Callable, statement: str) -> tuple[Mutant, ...]:
     """The mutants of one source, which reads the globals of the function `scope`. statement : whose names are known."""
     tree = ast.parse(source)
-    found = []
-    for change in _changes(tree, {*re.findall(r"\w+", statement)} - {"a", "A", "I"}):
-        with change.made(), contextlib.suppress(SyntaxError):
-            made: dict[str, Any] = {}
+    known = {*re.findall(r"\w+", statement)} - {"a", "A", "I"}
+    made = (_mutant(change.words, change.kind, tree, scope, (change,)) for change in _changes(tree, known))
+    return tuple(filter(None, made))
+
+
+def _mutant(words, kind, tree, scope, changes) -> Mutant | None:
+    """None where the changed code does not compile."""
+    made: dict[str, Any] = {}
+    with contextlib.ExitStack() as stack:
+        for change in changes:
+            stack.enter_context(change.made())
+        with contextlib.suppress(SyntaxError):
             exec(compile(tree, "<changed>", "exec"), _SCOPE | scope.__globals__, made)
-            [function] = made.values()
-            found.append(Mutant(change.words, change.kind, function, tree, change))
-    return tuple(found)
+    return Mutant(words, kind, made.popitem()[1], tree, scope, changes) if made else None
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,10 +174,14 @@ def _changes(tree, known) -> list[_Change]:
 
 def _fixed(node) -> list[ast.AST]:
     """What is left alone: how often a loop runs (it might never end) and how large an array is."""
-    if isinstance(node, ast.comprehension) or (isinstance(node, ast.Subscript) and ast.unparse(node.value) == "np.r_"):
+    if isinstance(node, ast.comprehension):
+        return [node.target, *node.ifs, *([] if ast.unparse(node.iter).startswith("range(") else [node.iter])]
+    if isinstance(node, ast.Subscript) and ast.unparse(node.value) == "np.r_":
         return [node]
     called = ast.unparse(node.func) if isinstance(node, ast.Call) else ""
-    return [node] if called in ("range", "zip", "enumerate", "np.arange") else node.args if called == "np.zeros" else []
+    if called in ("zip", "enumerate", "np.arange"):
+        return [node]
+    return node.args if called in ("range", "np.zeros") else []
 
 
 def _definitions(function, said: dict[str, str]) -> dict[str, str]:
@@ -227,8 +251,9 @@ def _of_expression(node, parent, names) -> Iterator[_Found]:
         yield 4, "with a comparison of {} always true", _expression(f"({left} == {left}) | True"), (node.left,)
     elif isinstance(node, ast.Call):
         yield from _of_call(node, text)
-    elif isinstance(node, ast.Constant) and isinstance(node.value, int | float) and not isinstance(parent, ast.Slice):
-        others = [0, 1, 2, 3, 4, 0.95, 0.995, 1 - node.value, node.value + 1, node.value - 1]
+    elif isinstance(node, ast.Constant) and isinstance(node.value, int | float) and not (
+            isinstance(parent, ast.Slice) or (isinstance(parent, ast.BinOp) and isinstance(parent.op, ast.Pow))):
+        others = [0, 1, 2, 3, 4, 0.95, 0.995, round(1 - node.value, 12), node.value + 1, node.value - 1]
         yield from ((5, f"with {other:.4g} in place of another number", ast.Constant(other), ())
                     for other in dict.fromkeys(others) if other != node.value)
     elif isinstance(node, ast.Subscript):
@@ -247,7 +272,8 @@ def _of_expression(node, parent, names) -> Iterator[_Found]:
                 (0, "with the sign of {} reversed", "-({})"), (2, "with {} transposed", "({}).T"),
                 (5, "with only the diagonal of {}", "np.diag(np.diag({}))"), (5, "with twice {}", "2 * ({})"),
                 (5, "with {} inverted", "np.linalg.inv({})"), (5, "with zero in place of {}", "0 * ({})"),
-                (5, "with the two halves of {} exchanged", "np.roll({}, 3, axis=-1)")]:
+                (5, "with the two halves of {} exchanged", "np.roll({}, 3, axis=-1)"),
+                (5, "without the first entry of {}", "({})[1:]"), (5, "without the last entry of {}", "({})[:-1]")]:
             yield kind, words, _expression(new.format(text)), (node,)
     if isinstance(parent, ast.Assign | ast.Return) and not isinstance(node, ast.Tuple):
         yield 5, "with the square root of {} taken", _expression(f"np.sqrt({text})"), (node,)
@@ -295,6 +321,9 @@ def _of_operation(node) -> Iterator[_Found]:
         yield 5, "with the square root of {} in place of a power", _expression(f"np.sqrt({ast.unparse(left)})"), (left,)
         for power in (3, 4):
             yield 5, f"with {{}} to the power of {power}", ast.BinOp(left, op, ast.Constant(power)), (left,)
+    if isinstance(op, ast.Mult) and isinstance(right, ast.BinOp) and isinstance(right.op, ast.Pow):
+        yield 5, "with the square on another factor", ast.BinOp(
+            ast.BinOp(left, right.op, right.right), op, right.left), ()
     if isinstance(op, ast.Mult | ast.Div | ast.MatMult) and not isinstance(right, ast.BinOp):
         yield 5, "with {} squared", ast.BinOp(left, op, ast.BinOp(right, ast.Pow(), ast.Constant(2))), (right,)
 
@@ -315,6 +344,10 @@ def _of_call(node, text) -> Iterator[_Found]:
         for dof in (1, 2, 3, 4, 6):
             yield 4, f"with {dof} degree{'s' if dof > 1 else ''} of freedom", _expression(
                 f"{function}({arguments[0]}, {dof})"), ()
+    if function == "range":
+        first, end = ["0", *arguments][-2:]
+        yield 4, "with a loop that begins one step later", _expression(f"range({first} + 1, {end})"), ()
+        yield 4, "with a loop that ends one step earlier", _expression(f"range({first}, {end} - 1)"), ()
     if function == "np.kron":
         yield 4, "with np.tile in place of np.kron", _expression(f"np.tile({arguments[1]}, (n, n))"), ()
     if function == "np.array" or function == "np.diag":

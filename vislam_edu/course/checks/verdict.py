@@ -179,8 +179,10 @@ def _together(explanations) -> str:
     """Words for the explanations of all results together, or for one of each wrong result."""
     if len(explanations) == 1:
         return ", or ".join(explanations[0].words)
-    texts = ((explanation.words[0], f"(in {explanation.result})") for explanation in explanations)
-    return " and ".join(text if text.endswith(name) else f"{text} {name}" for text, name in texts)
+    results: dict[str, list[str]] = {}
+    for one in explanations:
+        results.setdefault(one.words[0].removesuffix(f" (in {one.result})"), []).append(one.result)
+    return " and ".join(f"{words} (in {' and '.join(names)})" for words, names in results.items())
 
 
 def _remarks(outcomes) -> str:
