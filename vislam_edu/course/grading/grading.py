@@ -258,7 +258,7 @@ def _judged(entries, cells) -> tuple[dict[str, Result], list[str]]:
         name = entry.get("exercise")
         if "score" in entry:
             scores[name] = entry["score"]
-        elif "outcomes" in entry:
+        elif "attempt" in entry:
             results[name] = _result(EXERCISES[name], entry, cells)
             if entry.get("here") is False and results[name].status == RIGHT:
                 notes.append(f"{name} is not defined in a cell")
@@ -268,13 +268,11 @@ def _judged(entries, cells) -> tuple[dict[str, Result], list[str]]:
 
 
 def _result(exercise, entry, cells) -> Result:
-    if entry["outcomes"] is None:
+    if entry["attempt"] is None:
         verdict = judge(exercise, None)
     else:
         try:
-            slip, unused = map(shown, entry["clues"])
-            verdict = concluded(exercise, list(map(submission.received, entry["outcomes"])), entry["ended"],
-                                entry["is_written"], entry["rebound"], lambda _: (slip, unused))
+            verdict = concluded(exercise, submission.received(entry["attempt"]))
         except Exception as error:  # arrays of numbers can still be such that mathematics fails on them
             return Result(exercise.name, NO_VERDICT, detail=f"not judged: {shown(error)}")
     if verdict.right:
