@@ -52,7 +52,7 @@ def judge(exercise: Exercise, function, limit=LIMIT) -> Verdict:
 class Attempt:
     """What an answer did: all that a verdict needs, and nothing of the answer itself.
 
-    outcomes, ended : see `running.answers`. is_written : more than a stub. rebound : functions that it changed, by name.
+    outcomes, ended : see `running.answers`. is_written : more than a stub. rebound : names of what it changed.
     slip, unused : see `slips.clues`.
     """
 
