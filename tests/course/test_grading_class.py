@@ -180,7 +180,7 @@ def test_points_say_what_they_rest_on(graded):
     rows = {row["student"]: row for row in table(graded[0] / "points.csv")}
     assert rows["broken"]["remarks"].startswith("broken/01_se3_kinematics.ipynb: not a readable notebook: ")
     assert rows["Absent Anna"]["remarks"] == "nothing handed in"
-    assert rows["two versions"]["remarks"] == "newest of 2: two versions/01_se3_kinematics.ipynb"
+    assert rows["two versions"]["remarks"] == "chapter 1, newest of 2: two versions/01_se3_kinematics.ipynb"
     assert rows["partly right"]["total"] == "1"
     assert rows["borrowed by call"]["total"] == "0"
 
@@ -226,12 +226,20 @@ def test_late_days_cost_and_the_newest_or_the_best_counts():
                 submitted("anna/b.ipynb", RIGHT, WRONG, time=(due + timedelta(hours=25)).timestamp()),
                 submitted("anna/c.ipynb", time=due.timestamp() + 1e6, problem="not a readable notebook: no")]
     [newest], _ = points.rows(versions, due=due, penalty=10)
-    assert (newest.total, newest.late, newest.remarks[-1]) == (0.8, 2, "newest of 2: anna/b.ipynb")
+    assert (newest.total, newest.late, newest.remarks[-1]) == (0.8, 2, "chapter 1, newest of 2: anna/b.ipynb")
     [best], _ = points.rows(versions, due=due, penalty=10, best=True)
     assert (best.total, best.late) == (2.0, 0)
     person = points.Person(name="anna", submitted="2026-05-01T11:00")
     [row], _ = points.rows(versions, [person], due=due, penalty=10)
     assert row.total == 1.0
+
+
+def test_a_roster_that_is_none_says_where(tmp_path):
+    for text, words in [("name,id\n", "no student in it"), ("name,submitted\nAnna,yesterday\n", "'yesterday' for Anna"),
+                        ("M\xfcller\n".encode("latin-1"), "not UTF-8")]:
+        (tmp_path / "roster.csv").write_bytes(text if isinstance(text, bytes) else text.encode())
+        with pytest.raises(OptionError, match=words):
+            points.roster(tmp_path / "roster.csv")
 
 
 def test_gradescope_gets_a_result_for_each_exercise():
