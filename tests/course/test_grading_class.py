@@ -1,5 +1,6 @@
 """A class's submissions, honest and otherwise: each ends as it should; points, Canvas and Moodle files made of them."""
 
+import contextlib
 import csv
 import json
 import os
@@ -318,6 +319,13 @@ def test_right_blind_answers_are_nobody_elses():
             assert borrowing.borrowed(EXERCISES[answer.exercise], uses) == []
 
 
+def test_a_variable_called_solution_is_none():
+    own = HAT.replace("x, y, z = omega", "solution = omega\n    x, y, z = solution")
+    assert not borrowing.asks_for_solution([own, "solution('so3_hat')"], "so3_hat", here=True)
+    assert borrowing.asks_for_solution([own, "solution('so3_hat')"], "so3_hat", here=False)
+    assert borrowing.asks_for_solution(["def so3_hat(w):\n    return EXERCISES['so3_hat'](w)"], "so3_hat", here=True)
+
+
 def test_names_and_layout_do_not_make_another_answer():
     first, second = ({**borrowing.forms([source])} for source in (EXP, RENAMED_EXP))
     assert first == second
@@ -343,3 +351,14 @@ def test_students_are_handed_stubs_and_nothing_of_the_teachers(tmp_path, capsys)
     assert cli.main(["hand-out", str(tmp_path / "other"), "--chapters", "99"]) == cli.BAD_INPUT
     assert capsys.readouterr().err == "vislam_edu: 99: there is no notebook of this chapter\n"
     assert not (tmp_path / "other").exists()
+
+
+@pytest.mark.parametrize(("words", "told"), [
+    (["--for", "canvas"], "exercises --for canvas: --roster names the file with the students' ids"),
+    (["--due", "tomorrow"], "'tomorrow' is no time; write it as 2026-05-01T23:59")])
+def test_options_that_cannot_be_are_refused_before_anything_runs(tmp_path, capsys, words, told):
+    write(tmp_path / "class", ["pass"])
+    with contextlib.suppress(SystemExit):
+        cli.main(["exercises", "--report", str(tmp_path / "class"), "--out", str(tmp_path / "out"), *words])
+    assert told in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()

@@ -154,7 +154,8 @@ def grade(notebook: Notebook, limit: float = LIMIT, sandbox: Sandbox | None = No
     with _JUDGING:
         found, notes = _judged(entries, cells)
     errors = {entry["cell"]: shown(entry["error"]) for entry in entries if "cell" in entry}
-    checked = {exercise: errors.get(number, "") for number, source in enumerate(cells)
+    failed = {entry["exercise"]: shown(entry["error"]) for entry in entries if {"exercise", "error"} <= entry.keys()}
+    checked = {exercise: errors.get(number) or failed.get(exercise, "") for number, source in enumerate(cells)
                for exercise in _CALL.findall(source)}
     return Submission(name, [
         found.get(exercise) or (Result(exercise, NO_VERDICT, detail=checked[exercise]) if exercise in checked
@@ -180,7 +181,7 @@ def _expected(path, cells, checked) -> list[str]:
 def _run(folder, scratch, key, limit, sandbox, hidden, stop) -> str:
     """Run a notebook, wait for it and end all that it has started. Returns the problem, "" if it ran to its end."""
     token = scratch.name
-    own = {"VISLAM_EDU_GRADING": token, "IPYTHONDIR": str(scratch), "OPENBLAS_NUM_THREADS": "1",
+    own = {"IPYTHONDIR": str(scratch), "OPENBLAS_NUM_THREADS": "1",
            "MPLBACKEND": "module://matplotlib_inline.backend_inline"}
     environment = {key: value for key, value in os.environ.items() if key.upper() in _PASSED_ON} | own
     python = ["-P", "-c", _RUN, str(folder), str(scratch), str(int(limit) + 10)]
