@@ -20,6 +20,7 @@ from pathlib import Path
 import numpy as np
 
 from ..ch13 import capstone
+from ..checks import surroundings
 from ..checks.running import Outcome, Unreadable, error_message
 from ..checks.verdict import Attempt, attempt
 from ..exercises import EXERCISES
@@ -131,6 +132,7 @@ def _followed(name: str, call: ast.Call, namespace: dict) -> dict:
         if name == "score":
             if not borrowing.in_notebook(function):  # the agreed filter is nobody's answer
                 return {}
+            surroundings.restored()  # of numpy there is only one
             return {"exercise": "filter_run", "score": capstone.scored(function, *others, **options).figures}
         return {"exercise": name} | (tried(name, function) if callable(function) else {"attempt": None})
     except BaseException as error:  # SystemExit included: the cell may mean to end the kernel
