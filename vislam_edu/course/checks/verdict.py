@@ -7,11 +7,11 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 from . import museum, right_parts, slips, surroundings
-from .comparing import argument, differs
+from .comparing import argument, differs, same
 from .exercise import Exercise, short
-from .explain import VAGUE, explain, same
+from .explain import VAGUE, explain
 from .picture import Picture, picture_of
-from .running import LIMIT, Outcome, answers, arrays, copied, error_message, written
+from .running import LIMIT, Outcome, answers, copied, error_message, read, written
 
 RIGHT, NOT_WRITTEN, WRONG = "right", "not written yet", "wrong"
 
@@ -74,7 +74,7 @@ def concluded(exercise: Exercise, outcomes: list[Outcome], ended: str, is_writte
 def _judged(exercise: Exercise, outcomes, ended, is_written, clues, limit) -> Verdict:
     name = exercise.name
     cases = exercise.inputs()
-    expected = [arrays(exercise.expected(*map(copied, arguments)), exercise.outputs)[0] for _, arguments in cases]
+    expected = [read(exercise.expected(*map(copied, arguments)), exercise.outputs)[0] for _, arguments in cases]
     if any(outcome.blank for outcome in outcomes):
         return _blank(exercise, is_written, outcomes)
 
