@@ -23,6 +23,12 @@ def chance(p):
     return float(np.clip(p, 1e-300, 1.0))
 
 
+def without_motion(drive):
+    """All findings of the tracks and times alone: these checks are quick, for they need no motion of the cameras."""
+    return [*copy_frames(drive, track_health.copy_steps(drive)), *frozen(drive), *behind_infinity(drive),
+            *row_offset(drive), *missing_frames(drive)]
+
+
 def copy_frames(drive, copy_steps):
     """Frames that repeat the pixels of the frame before. copy_steps : (T-1,) bool, steps that end in one."""
     count = int(copy_steps.sum())

@@ -21,12 +21,11 @@ from ..drive import Drive, DriveError
 from ..error_state import ErrorState, InverseDepth, RightInvariant, RightPerturbation
 from ..noise import Noise
 from ..stereo import StereoCamera
-from . import consistency, pipeline
+from . import consistency, pipeline, run_warnings
 
 Regime = Callable[..., tuple[Drive, Noise]]
 FILTERS: dict[str, ErrorState] = {"inverse_depth": InverseDepth(), "cartesian": RightInvariant(),
                                   "right": RightPerturbation()}
-BATCH_FRAMES = 40  # of whose poses the batch is asked for a covariance: each costs a solution of the whole system
 
 
 def on_street(seed: int, *, sigma_v: float = 0.5, sigma_omega: float = 0.05, sigma_px: float = 0.7, frames: int = 300,
@@ -100,24 +99,23 @@ def judge(regime: str, seed: int, names: Sequence[str] = (*FILTERS, "batch"), **
     for name, error_state in FILTERS.items():
         if name in names:
             slam = pipeline.joint(drive, noise, error_state, world_T_imu=start)
-            warnings = pipeline.doubts(drive, slam, dead_reckoning, gate=0.99)
+            warnings = run_warnings.of_filter(drive, slam, dead_reckoning, 0.99, drive.true_world_T_imu)
             found[name] = _figures(drive, slam.trajectory.world_T_imu, slam.trajectory.covariance, slice(None),
                                    slam.rejected_share, warnings)
             path = slam.trajectory.world_T_imu if name == "inverse_depth" else path
     if "batch" in names:
         smoothed = pipeline.run_batch(batch.Problem(drive, noise, prior_world_T_imu=start), path)
-        frames = np.unique(np.linspace(0, drive.n_frames - 1, BATCH_FRAMES).round().astype(int))
-        solution = smoothed.solution
-        found["batch"] = _figures(drive, solution.estimate.world_T_imu, solution.pose_covariance(frames), frames, 0.0,
-                                  smoothed.warnings)
+        frames, covariance = smoothed.claims
+        found["batch"] = _figures(drive, smoothed.solution.estimate.world_T_imu, covariance, frames, 0.0,
+                                  run_warnings.of_batch(smoothed, drive.true_world_T_imu))
     return found
 
 
 def _figures(drive, world_T_imu, covariance, frames, rejected_share, warnings) -> dict:
     true = drive.true_world_T_imu
-    nees = metrics.pose_nees(RightPerturbation(), true[frames], world_T_imu[frames], covariance).pose
+    nees, _ = run_warnings.against_truth(true[frames], world_T_imu[frames], covariance)
     drift = metrics.position_errors(*(se3.inverse(poses[0]) @ poses for poses in (true, world_T_imu)))
-    return {"nees_pose": float(nees.mean()), "rmse_m": float(np.sqrt(np.mean(drift**2))),
+    return {"nees_pose": nees, "rmse_m": float(np.sqrt(np.mean(drift**2))),
             "rejected_share": rejected_share, "warnings": warnings}
 
 
