@@ -60,7 +60,8 @@ def test_0027_against_ground_truth(run_0027):
     assert numbers["ate_m"] <= 3.0
     assert numbers["nees_pose"] > 10
     if not WHOLE:
-        assert [warning.split(" repeats")[0] for warning in numbers["warnings"]] == ["what a track's disparity is off by"]
+        assert [warning.split(" repeats")[0] for warning in numbers["warnings"]] == [
+            "what a track's disparity is off by"]
     else:  # `--calibration` is what that sentence asks for
         assert numbers["warnings"] == []
         assert numbers["nees_pose_with_calibration"] <= 10

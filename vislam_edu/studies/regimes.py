@@ -131,8 +131,8 @@ def study(regime: str, seeds: Sequence[int], names: Sequence[str] = (*FILTERS, "
 
     Returns {"seeds": how many, "filters": name: figures}: nees_pose (6 is right), rmse_m (of the position as seen from
     frame 0), rejected_share (by the gate; 0 for the batch, which has none), each the mean over the drives whose filter
-    did not break down, the RMSE a root of the mean square; warned, the share of the drives with a warning, and
-    warnings, those of the first such drive.
+    did not break down, the RMSE a root of the mean square; warned, the share of the drives with a warning;
+    warned_without_truth, the share with one that needs no ground truth; and warnings, those of the first warned drive.
     """
     jobs = (joblib.delayed(_attempt)(regime, seed, names, options) for seed in seeds)
     runs = list(tqdm(joblib.Parallel(return_as="generator")(jobs), total=len(seeds), desc=regime, unit="drive"))
@@ -146,7 +146,9 @@ def _over_seeds(runs) -> dict:
     means = {"nees_pose": nees.mean(), "rmse_m": np.sqrt(np.mean(rmse**2)), "rejected_share": rejected.mean()
              } if nees.size else dict.fromkeys(("nees_pose", "rmse_m", "rejected_share"), np.nan)
     return {key: float(value) if np.isfinite(value) else None for key, value in means.items()} | {
-        "warned": len(warned) / len(runs), "warnings": warned[0] if warned else []}
+        "warned": len(warned) / len(runs),
+        "warned_without_truth": sum(any(map(run_warnings.needs_no_truth, found)) for found in warned) / len(runs),
+        "warnings": warned[0] if warned else []}
 
 
 def format_study(regime: str, figures: dict) -> str:
@@ -154,4 +156,5 @@ def format_study(regime: str, figures: dict) -> str:
     return "\n".join(f"{regime:15}{name:15}" + "".join(
         f"{label} {'none' if one[key] is None else format(one[key], '.3g'):9}"
         for key, label in (("nees_pose", "NEES"), ("rmse_m", "RMSE m"), ("rejected_share", "rejected"),
-                           ("warned", "warned"))).rstrip() for name, one in figures["filters"].items())
+                           ("warned", "warned"), ("warned_without_truth", "without truth"))).rstrip()
+        for name, one in figures["filters"].items())
