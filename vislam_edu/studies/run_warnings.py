@@ -124,7 +124,7 @@ def of_filter(drive, slam, dead_reckoning, gate, true=None, calibration=None) ->
     found, path = list(of_innovations(slam.run, gate, considered)), slam.trajectory
     if has_few_tracks(drive):
         found.append(f"{drive.visible.mean():.0f} tracks in view on average where a filter of this kind needs "
-                     f"{FEW_TRACKS}: dead reckoning is the better path")
+                     f"{FEW_TRACKS}: dead reckoning may be the better path, compare both")
     kind = "cartesian" if len(slam.run.error_state.point_shape) == 1 else "inverse depth"
     disparity = np.median(drive.pixels[:, 0] - drive.pixels[:, 2]) if len(drive.pixels) else np.inf
     sigma_px = np.sqrt(2) * visual_odometry.row_noise(drive.pixels)
