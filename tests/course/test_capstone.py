@@ -57,7 +57,7 @@ def filled(**changed):
 
 def test_a_capstone_filled_from_ekf_slam_is_right_in_every_stage_and_scores_like_the_package(capsys):
     pieces = filled()
-    assert capstone.localise(pieces) is None
+    assert capstone.first_wrong_stage(pieces) is None
     score = capstone.score(pieces["filter_run"], student=7)
     assert score.status == RIGHT
     assert capsys.readouterr().out.count("like the agreed filter") == len(score.drives) == 4
@@ -80,7 +80,7 @@ MISTAKES = [(name, mistake.name) for name in capstone.STAGES for mistake in few(
 @pytest.mark.parametrize(("stage", "mistake"), MISTAKES)
 def test_a_mistake_is_localised_to_the_stage_it_was_put_into(stage, mistake):
     [wrong] = [m.function for m in EXERCISES[stage].mistakes if m.name == mistake]
-    verdict = capstone.localise(filled(**{stage: wrong}))
+    verdict = capstone.first_wrong_stage(filled(**{stage: wrong}))
     assert (verdict.exercise, verdict.status, verdict.mistake) == (stage, WRONG, mistake)
 
 

@@ -11,7 +11,7 @@ frames.
 import numpy as np
 from scipy.special import gammainc
 
-from .. import kalman, metrics
+from .. import inertial, kalman, metrics
 from ..audit import track_checks, visual_odometry, whole
 from ..error_state import RightPerturbation
 from .calibration import LENS_CORRECTED
@@ -39,6 +39,8 @@ def truth_beside(drive, world_T_imu):
     if not drive.has_truth:
         return None
     truth = drive.true_world_T_imu
+    if drive.imu is not None:
+        return truth  # `run_pipeline` has put it into the world of the estimate
     first = np.flatnonzero(np.isfinite(truth[:, 0, 0]))[0]
     return world_T_imu[first] @ truth if first else truth  # one that starts late is in the frame of its own first pose
 
@@ -122,6 +124,9 @@ def of_filter(drive, slam, dead_reckoning, gate, true=None, calibration=None) ->
     """
     considered = calibration is not None or LENS_CORRECTED in drive.history
     found, path = list(of_innovations(slam.run, gate, considered)), slam.trajectory
+    if drive.imu is not None and not inertial.stands_still(drive):
+        found.append(f"the drive does not begin at rest: gravity, velocity and biases at its start were found from the "
+                     f"cameras' path over {inertial.ALIGN:g} s")
     if has_few_tracks(drive):
         found.append(f"{drive.visible.mean():.0f} tracks in view on average where a filter of this kind needs "
                      f"{FEW_TRACKS}: dead reckoning may be the better path, compare both")
@@ -135,7 +140,7 @@ def of_filter(drive, slam, dead_reckoning, gate, true=None, calibration=None) ->
     R, P = path.world_T_imu[:, :3, :3], path.covariance
     turned = np.sqrt(np.diagonal(R @ P[:, 3:, 3:] @ R.mT, axis1=1, axis2=2))  # (T, 3) rad, about the world's axes
     k, axis = np.unravel_index(np.argmin(turned / np.maximum(turned[0], 1e-12)), turned.shape)
-    if turned[k, axis] < 0.9 * turned[0, axis]:
+    if drive.imu is None and turned[k, axis] < 0.9 * turned[0, axis]:
         found.append(f"the filter claims at frame {k} to know its rotation about the world's {'xyz'[axis]} axis to "
                      f"{np.degrees(turned[k, axis]):.2g} deg, at the start to {np.degrees(turned[0, axis]):.2g} deg: "
                      "no sensor measures it, so its covariance is wrong; take --error-state inverse-depth")

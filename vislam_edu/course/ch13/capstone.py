@@ -23,12 +23,12 @@ from ...belief import NO_INNOVATION, Belief, Innovation, Step
 from ...drive import Drive
 from ...error_state import ErrorState, RightPerturbation
 from ...noise import Noise
-from ...plots import drawing, style
 from ...plots.text import on_a_page
 from ...studies.runs import Run, record
 from ..checks.check import VERDICTS
 from ..checks.comparing import number
 from ..checks.exercise import EXERCISES, find
+from ..checks.picture import matrices
 from ..checks.running import copied, error_message, outcome_of, within
 from ..checks.verdict import NOT_WRITTEN, RIGHT, WRONG, Verdict, judge
 from .exercises import NOISE, filter_run
@@ -325,7 +325,7 @@ def score(run: Callable, student: int | str = 0, limit: float = LIMIT, error_sta
 
 # --- the stages -------------------------------------------------------------------------------------------
 
-def localise(pieces: dict[str, Callable]) -> Verdict | None:
+def first_wrong_stage(pieces: dict[str, Callable]) -> Verdict | None:
     """The verdict on the first stage that is not right, in the order of `STAGES`; None if all are.
 
     pieces : the student's functions by the names of the stages.
@@ -381,11 +381,9 @@ def _parting(where, mine, package, tolerance) -> Parting | None:
     return Parting(where, np.atleast_2d(mine), np.atleast_2d(package), (row, column))
 
 
-@style.styled
 def compare(name: str, function: Callable):
     """A figure of the first matrix in which a stage is not the package's, its first wrong entry framed.
 
-    Each of the three matrices (the stage's, the package's, their difference) has a colour scale of its own.
     Prints why and returns None where nothing can be compared.
     """
     found = first_parting(name, function)
@@ -394,32 +392,6 @@ def compare(name: str, function: Callable):
         return None
     i, j = found.entry
     print(on_a_page(f"{name}, {found.where}, entry [{i}, {j}]: {number(found.mine[i, j])}, "
-                          f"the package has {number(found.package[i, j])}"))
-    figure, axes = drawing.new_figure(height=2.6)
-    gap, columns = np.full((len(found.mine), 1), np.nan), found.mine.shape[1]
-    apart = found.mine - found.package
-    axes.imshow(np.hstack([_scaled(found.mine), gap, _scaled(found.package), gap, _scaled(apart)]), cmap="RdBu_r",
-                norm=_norm(), aspect="auto")
-    lefts = (columns + 1) * np.arange(3)
-    for left in lefts:
-        axes.add_patch(_frame(left + j, i))
-    axes.set(xticks=lefts + (columns - 1) / 2, xticklabels=["yours", "package", "yours - package"])
-    axes.grid(False)
-    return drawing.finish(figure, f"{name}: the first entry that differs, [{i}, {j}], is framed")
-
-
-def _scaled(matrix):
-    """A matrix divided by its largest entry, a matrix of zeros as it is."""
-    return matrix / (np.nanmax(np.abs(matrix)) or 1.0)
-
-
-def _norm():
-    from matplotlib.colors import SymLogNorm
-
-    return SymLogNorm(1e-3, vmin=-1, vmax=1)
-
-
-def _frame(column, row):
-    from matplotlib.patches import Rectangle
-
-    return Rectangle((column - 0.5, row - 0.5), 1, 1, fill=False, edgecolor="black", linewidth=2)
+                    f"the package has {number(found.package[i, j])}"))
+    return matrices(found.mine, found.package, "package", [found.entry],
+                    f"{name}: the first entry that differs, [{i}, {j}], is framed")

@@ -122,9 +122,9 @@ class Exercise:
         self.answers.append(function)
         return function
 
-    def slip(self, name: str, hint: str, *edits: Edit) -> None:
-        """Hang the reference with these edits in the museum."""
-        self.mistakes.append(Mistake(name, " ".join(hint.split()), self.reference, edits))
+    def slip(self, name: str, hint: str, *edits: Edit, of: Callable | None = None) -> None:
+        """Hang a plain answer (the reference, where `of` names no other) with these edits in the museum."""
+        self.mistakes.append(Mistake(name, " ".join(hint.split()), of or self.reference, edits))
 
     def mistake(self, name: str, hint: str):
         """Decorator that hangs a wrong version in the museum."""

@@ -3,7 +3,7 @@
 from collections import Counter
 from dataclasses import dataclass, replace
 
-from . import localise, museum, surroundings
+from . import museum, right_parts, surroundings
 from .comparing import argument, differs
 from .exercise import Exercise, short
 from .explain import explain, same
@@ -89,7 +89,7 @@ def _wrong(exercise, cases, outcomes, expected, reasons) -> Verdict:
     pieces, guess = museum.recognise(exercise, cases, outcomes, expected)
     explanations = explain(exercise, cases, outcomes, expected, simple=bool(pieces))
     sames = [same(exercise, outcome, should) for outcome, should in zip(outcomes, expected)]
-    where = localise.remarks(exercise, cases, outcomes, expected, sames)
+    where = right_parts.remarks(exercise, cases, outcomes, expected, sames)
     lines += [f"Most likely: {piece.name}. {piece.hint}" for piece in pieces]
     if pieces and explanations:
         lines.append("The same numbers come out " + ", or ".join(explanations[:2]) + ".")
