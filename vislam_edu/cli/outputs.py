@@ -13,7 +13,7 @@ import numpy as np
 from .. import metrics, recordings, se3
 from ..plots import report_figures, style
 from ..recordings.files import part_of
-from ..studies import run_warnings
+from ..studies import run_warnings, runs
 
 PNG = style.PNG | {"pil_kwargs": {"compress_level": 3}}  # 2 % more bytes than 6, the default, in a third of the time
 
@@ -73,7 +73,7 @@ def summary(result, smoothed=None, lens=None, warnings=()) -> dict:
     numbers["recommended"] = "dead reckoning" if run_warnings.has_few_tracks(drive) else "filter"
     found = [*warnings, *result.warnings]
     if smoothed is not None:
-        found += run_warnings.of_batch(smoothed, run_warnings.truth_beside(drive, poses))
+        found += run_warnings.of_batch(smoothed, runs.truth_beside(drive, poses))
     return numbers | {"changed": list(drive.history), "warnings": found}
 
 
@@ -94,14 +94,14 @@ def _claims(drive, world_T_imu, covariance, label, suffix, frames=slice(None)):
     """
     numbers = {f"end_sigma_m{label}": float(np.sqrt(np.trace(covariance[-1, :3, :3])))}
     if drive.has_truth:
-        truth = run_warnings.truth_beside(drive, world_T_imu)
-        nees, inside = run_warnings.against_truth(truth[frames], world_T_imu[frames], covariance)
+        truth = runs.truth_beside(drive, world_T_imu)
+        nees, inside = runs.against_truth(truth[frames], world_T_imu[frames], covariance)
         numbers |= {f"nees_pose{suffix}": nees, f"inside_3_sigma{suffix}": inside}
     return numbers
 
 
 def _errors(drive, world_T_imu, prefix):
-    truth = run_warnings.truth_beside(drive, world_T_imu)
+    truth = runs.truth_beside(drive, world_T_imu)
     error = metrics.position_errors(truth, world_T_imu)
     world_T_cam = world_T_imu @ drive.camera.imu_T_cam
     return {f"{prefix}position_rmse_m": float(np.sqrt(np.mean(error**2))),

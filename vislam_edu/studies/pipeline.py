@@ -20,7 +20,7 @@ from ..mapping import MapBelief
 from ..noise import Noise
 from ..odometry import Trajectory
 from . import calibration, run_warnings, scale
-from .runs import Run, record
+from .runs import Run, record, truth_beside
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,7 +88,7 @@ class Result:
     @property
     def warnings(self) -> list[str]:
         """What speaks against the joint filter's result, see `run_warnings.of_filter`."""
-        true = run_warnings.truth_beside(self.drive, self.slam.trajectory.world_T_imu)
+        true = truth_beside(self.drive, self.slam.trajectory.world_T_imu)
         return run_warnings.of_filter(self.drive, self.slam, self.dead_reckoning, self.gate, true, self.calibration)
 
 

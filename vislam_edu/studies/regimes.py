@@ -22,6 +22,7 @@ from ..error_state import ErrorState, InverseDepth, RightInvariant, RightPerturb
 from ..noise import Noise
 from ..stereo import StereoCamera
 from . import consistency, pipeline, run_warnings
+from .runs import against_truth
 
 Regime = Callable[..., tuple[Drive, Noise]]
 FILTERS: dict[str, ErrorState] = {"inverse_depth": InverseDepth(), "cartesian": RightInvariant(),
@@ -113,7 +114,7 @@ def judge(regime: str, seed: int, names: Sequence[str] = (*FILTERS, "batch"), **
 
 def _figures(drive, world_T_imu, covariance, frames, rejected_share, warnings) -> dict:
     true = drive.true_world_T_imu
-    nees, _ = run_warnings.against_truth(true[frames], world_T_imu[frames], covariance)
+    nees, _ = against_truth(true[frames], world_T_imu[frames], covariance)
     drift = metrics.position_errors(*(se3.inverse(poses[0]) @ poses for poses in (true, world_T_imu)))
     return {"nees_pose": nees, "rmse_m": float(np.sqrt(np.mean(drift**2))),
             "rejected_share": rejected_share, "warnings": warnings}
