@@ -43,7 +43,7 @@ def needs_no_truth(warning) -> bool:
 def _untrue(name, true, world_T_imu, covariance):
     nees, inside = against_truth(true, world_T_imu, covariance)
     if nees > MOST_NEES or inside < LEAST_INSIDE:
-        yield (f"against the ground truth, the {name}'s mean NEES is {nees:.3g} where 6 is right and {MOST_NEES:.3g} "
+        yield (f"against the ground truth, the {name}'s mean NEES is {nees:.2g} where 6 is right and {MOST_NEES:.2g} "
                f"the most for one drive, and it is inside 3 sigma in {inside:.0%} of the frames on its worst axis: its "
                "covariance is too small for its errors; audit the recording, then try --calibration or --lens")
 
