@@ -22,7 +22,7 @@ from difflib import get_close_matches
 
 import numpy as np
 
-from .edit import Edit, edited
+from .edit import Edit, diff, edited
 
 EXERCISES: dict[str, "Exercise"] = {}  # by name, in the order of the chapters
 
@@ -54,6 +54,10 @@ class Mistake:
     @functools.cached_property
     def function(self) -> Callable:
         return edited(self.base, *self.edits) if self.edits else self.base
+
+    def lines(self) -> str:
+        """The lines of the plain answer that the edits change, as a diff; "" for a function of its own."""
+        return diff(self.base, *self.edits, around=0) if self.edits else ""
 
 
 @dataclass(frozen=True, eq=False)

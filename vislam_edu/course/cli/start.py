@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from collections.abc import Callable, Iterable
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -31,19 +32,20 @@ def run(arguments) -> int:
     return subprocess.call([sys.executable, "-m", "jupyterlab", root, str(first)])
 
 
-def copy_notebooks(folder: Path) -> tuple[int, int]:
+def copy_notebooks(folder: Path, patterns: Iterable[str] = COPIED,
+                   content: Callable[[Path], bytes] = Path.read_bytes) -> tuple[int, int]:
     """Copy the notebooks, their images and pages into a folder; a file that is there is never written over.
 
-    Returns how many files were copied and how many were there.
+    patterns : of what is copied. content : what is written of a file. Returns how many were copied, how many there.
     """
     copied = kept = 0
-    for path in (path for pattern in COPIED for path in sorted(shipped.ROOT.glob(pattern))):
+    for path in (path for pattern in patterns for path in sorted(shipped.ROOT.glob(pattern))):
         target = folder / path.relative_to(shipped.ROOT)
         if target.exists():
             kept += 1
             continue
         target.parent.mkdir(parents=True, exist_ok=True)
         with files.replacing(target) as file:
-            file.write(path.read_bytes())
+            file.write(content(path))
         copied += 1
     return copied, kept
