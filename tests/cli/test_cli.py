@@ -560,7 +560,9 @@ def test_a_filter_that_rejects_a_lot_says_so(tmp_path, capfd):
     recordings.save(street_loop(seed=1, frames=100, visible=20, outlier_share=0.3), tmp_path / "bad.npz")
     assert cli.main(["run", str(tmp_path / "bad.npz"), "--out", str(tmp_path / "out"), "--quiet"]) == 0
     assert "warning: the gate kept out" in capfd.readouterr().err
-    assert json.loads((tmp_path / "out" / "summary.json").read_text())["warnings"][0].startswith("the gate kept out")
+    written = json.loads((tmp_path / "out" / "summary.json").read_text())["warnings"]
+    assert written[0].startswith("the recording was not audited; the quick part of the audit finds behind infinity")
+    assert written[1].startswith("the gate kept out")
 
 
 # --- the commands -----------------------------------------------------------------------------------------
