@@ -1,5 +1,6 @@
 """`start`: a folder of one's own with the notebooks in it, opened in JupyterLab."""
 
+import json
 import subprocess
 import sys
 from importlib.util import find_spec
@@ -7,6 +8,7 @@ from pathlib import Path
 
 from ...cli.arguments import OptionError
 from ...recordings import files, shipped
+from ..guesses import without_guessed_outputs
 
 FIRST = "00_start_here.ipynb"
 COPIED = ("notebooks/*.ipynb", "notebooks/images/*", "docs/notation.md", "docs/reading.md")
@@ -34,7 +36,8 @@ def run(arguments) -> int:
 def copy_notebooks(folder: Path) -> tuple[int, int]:
     """Copy the notebooks, their images and pages into a folder; a file that is there is never written over.
 
-    Returns how many files were copied and how many were there.
+    Results that a reader is asked to guess are not in the copies. Returns how many files were copied and how many
+    were there.
     """
     copied = kept = 0
     for path in (path for pattern in COPIED for path in sorted(shipped.ROOT.glob(pattern))):
@@ -44,6 +47,12 @@ def copy_notebooks(folder: Path) -> tuple[int, int]:
             continue
         target.parent.mkdir(parents=True, exist_ok=True)
         with files.replacing(target) as file:
-            file.write(path.read_bytes())
+            file.write(to_start_with(path) if path.suffix == ".ipynb" else path.read_bytes())
         copied += 1
     return copied, kept
+
+
+def to_start_with(path: Path) -> bytes:
+    """The text of a notebook whose guessed results are still to come."""
+    notebook = without_guessed_outputs(json.loads(path.read_text(encoding="utf-8")))
+    return (json.dumps(notebook, ensure_ascii=False, indent=1, sort_keys=True) + "\n").encode()
