@@ -536,7 +536,8 @@ def again(seed, **sensors):
 def mounting_shows_in_no_nis(seed):
     drive = short(seed)[0]
     turn = se3.exp(np.array([0, 0, 0, 0, 0, np.radians(1.0)]))
-    wrong = drive.replace(camera=replace(drive.camera, cam_T_imu=drive.camera.cam_T_imu @ turn))
+    camera = replace(drive.camera, cam_T_imu=drive.camera.cam_T_imu @ turn)
+    wrong = drive.replace(camera=camera, truth_world_T_cam=drive.true_world_T_imu @ camera.imu_T_cam)
     nees, _, nis = judged(seed, gate=0.99, drive=wrong)
     return nees > 25 and abs(nis - judged(seed)[2]) < 0.3
 
@@ -632,7 +633,7 @@ def bias_is_estimated(seed):
     return np.isclose(all_but(seed, "gyro bias")[1], cured(seed, *ALL)[1], rtol=0.1)
 
 
-@claim("08", "On seven of eight other streets it costs a third or more", share=0.75, few=0)
+@claim("08", "On seven of eight other streets it costs a third or more, on the eighth nothing", share=0.75, few=0)
 def lever_arm_matters(seed):
     return all_but(seed, "lever arm")[1] > 1.2 * cured(seed, *ALL)[1]
 
@@ -731,7 +732,7 @@ def with_one_in(seed, every):
     return thinned(street(seed), NOISE, every, INVARIANT)
 
 
-@claim("09", "the claim grows about tenfold", few=0)
+@claim("09", "the claim grows about tenfold (9 to 13 times on eight streets like this one)", few=0)
 def one_in_ten_costs_ten(seed):
     every, tenth = with_one_in(seed, 1), with_one_in(seed, 10)
     return 7.5 < tenth.claimed[-1] / every.claimed[-1] < 15 and tenth.rms > 4 * every.rms
@@ -794,7 +795,7 @@ def room_d_hides(seed):
     return all(error < right[0] + 0.1 and nis < 4.7 and nees < 3 * right[2] for error, nis, nees in visits)
 
 
-@claim("10", "on most drives it costs accuracy too", share=0.6)
+@claim("10", "on most drives it costs accuracy too (0.14 m against 0.09 m in the median of section 1)", share=0.6)
 def never_written_costs_accuracy(seed):
     return shown(seed, "never")[0] > 1.3 * shown(seed, "right")[0]
 
