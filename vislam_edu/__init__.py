@@ -43,6 +43,7 @@ batch                   the whole drive at once: least squares over poses and la
 association             which landmarks are the same place, and closing the loop
 imu                     a real IMU: gravity, biases, preintegration
 inertial                the joint filter with a real IMU
+inertial_batch          the whole drive at once with a real IMU
 lens                    distorted cameras, and the rectified pair
 tracking                from images to tracks
 recordings              room: files
@@ -59,37 +60,6 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from . import (
-        association,
-        audit,
-        batch,
-        belief,
-        drive,
-        ekf_slam,
-        error_state,
-        imu,
-        inertial,
-        inverse_depth,
-        kalman,
-        lens,
-        mapping,
-        metrics,
-        motion,
-        noise,
-        normal_equations,
-        odometry,
-        plots,
-        recordings,
-        robust,
-        se3,
-        simulate,
-        smoother,
-        stereo,
-        studies,
-        tracking,
-        widgets,
-        window_slam,
-    )
     from .drive import Drive
     from .error_state import InverseDepth, RightInvariant, RightPerturbation
     from .noise import Noise
@@ -99,11 +69,9 @@ if TYPE_CHECKING:
 __version__ = "0.2.0"
 __all__ = [
     "Drive", "InverseDepth", "Noise", "RightInvariant", "RightPerturbation", "StereoCamera", "association", "audit",
-    "batch", "belief", "drive", "ekf_slam", "error_state", "imu", "inertial", "inverse_depth", "kalman", "lens",
-    "load", "mapping", "metrics", "motion", "noise", "normal_equations", "odometry", "plots", "recordings",
-    "robust", "se3", "simulate",
-    "smoother", "stereo", "studies", "tracking", "widgets", "window_slam",
-]
+    "batch", "belief", "drive", "ekf_slam", "error_state", "imu", "inertial", "inertial_batch", "inverse_depth",
+    "kalman", "lens", "load", "mapping", "metrics", "motion", "noise", "normal_equations", "odometry", "plots",
+    "recordings", "robust", "se3", "simulate", "smoother", "stereo", "studies", "tracking", "widgets", "window_slam"]
 
 _DEFINED_IN = {"load": "recordings", "Drive": "drive", "Noise": "noise", "StereoCamera": "stereo",
                "RightPerturbation": "error_state", "RightInvariant": "error_state", "InverseDepth": "error_state"}

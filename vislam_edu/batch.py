@@ -24,6 +24,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -105,9 +106,11 @@ class Problem:
     lens : (N, 4, L), by how many px each observation is off for 1 px of each of L numbers of the lenses.
     lens_sigma : (L,), px, standard deviations of the prior on these numbers, whose mean is 0.
 
+    size : unknowns of a frame; `inertial_batch` adds a velocity and two biases to the six of a pose.
     Raises DriveError for a drive of one frame or without observations, ValueError for an IMU without noise.
     """
 
+    size: ClassVar[int] = 6
     drive: Drive
     noise: Noise
     walk_sigma: tuple[float, float] | None = None
@@ -155,10 +158,49 @@ class Problem:
         first[self.landmark[::-1]] = self.drive.frame[::-1]  # of several writes to one row the last one stays
         return first
 
+    def motion_residuals(self, estimate: Estimate) -> tuple[np.ndarray, bsr_array, np.ndarray]:
+        """All residuals without a landmark: prior on T_0, IMU, walk. Each is divided by its standard deviation.
+
+        Returns r (n,), its derivative by the poses, sparse (n, 6T), and by the constants of the IMU (n, 4).
+        """
+        drive, noise, T = self.drive, self.noise, self.drive.n_frames
+        xi, by_this, by_next = path_twists(estimate.world_T_imu, drive.taus)
+
+        whiten = np.linalg.inv(np.linalg.cholesky(noise.initial_pose_covariance))
+        e0 = se3.log(se3.inverse(self.prior_world_T_imu) @ estimate.world_T_imu[0])
+        rows = [(whiten @ e0, block_rows(T, (whiten @ se3.right_jacobian_inverse(e0))[None]), np.zeros((6, 4)))]
+
+        bias, scale = estimate.imu[:3], estimate.imu[3]
+        gain = np.repeat([scale, 1.0], 3)
+        weight = 1 / np.repeat([noise.sigma_v, noise.sigma_omega], 3)
+        by_imu = np.zeros((T - 1, 6, 4))
+        by_imu[:, 3:, :3], by_imu[:, :3, 3] = np.eye(3), xi[:, :3]
+        scaled = (weight * gain)[:, None]
+        rows.append(((weight * (gain * xi + np.pad(bias, (3, 0)) - drive.step_twists)).ravel(),
+                     block_rows(T, scaled * by_this, scaled * by_next), (weight[:, None] * by_imu).reshape(-1, 4)))
+
+        if self.walk_sigma is not None:
+            weight = 1 / np.repeat(self.walk_sigma, 3)
+            w = weight[:, None]
+            rows.append(((weight * np.diff(xi, axis=0)).ravel(),
+                         block_rows(T, -w * by_this[:-1], w * (by_this[1:] - by_next[:-1]), w * by_next[1:]),
+                         np.zeros((6 * (T - 2), 4))))
+        r, J, J_imu = zip(*rows)
+        return np.concatenate(r), vstack(J, format="bsr"), np.concatenate(J_imu)
+
+    def dead_reckoned(self) -> np.ndarray:
+        """(T, 4, 4): the poses that the IMU alone says."""
+        return odometry.dead_reckon(self.drive, self.noise, self.prior_world_T_imu).world_T_imu
+
+    def at(self, world_T_imu: np.ndarray) -> Estimate:
+        """An estimate with these poses (T, 4, 4), each landmark from its nearest view, the constants as expected."""
+        return Estimate(world_T_imu, nearest_views(self, world_T_imu), np.array([0.0, 0.0, 0.0, 1.0]),
+                        np.zeros_like(self.lens_sigma))
+
     def by_frame(self, blocks: np.ndarray) -> bsr_array:
-        """Blocks (N, 6, 3), one for each observation, as a sparse matrix (6T, 3M) of frames and landmarks."""
+        """Blocks (N, size, 3), one for each observation, as a sparse matrix (size T, 3M) of frames and landmarks."""
         return bsr_array((blocks, self.landmark, self.drive.frame_start),
-                         shape=(6 * self.drive.n_frames, 3 * self.drive.n_landmarks))
+                         shape=(self.size * self.drive.n_frames, 3 * self.drive.n_landmarks))
 
     @cached_property
     def rank(self) -> np.ndarray:
@@ -175,12 +217,7 @@ class Problem:
 
 def start(problem: Problem, world_T_imu: np.ndarray | None = None) -> Estimate:
     """Where the iterations begin: poses (T, 4, 4), by default dead reckoning, each landmark from its nearest view."""
-    drive = problem.drive
-    if world_T_imu is None:
-        world_T_imu = odometry.dead_reckon(drive, problem.noise, problem.prior_world_T_imu).world_T_imu
-    world_T_imu = np.asarray(world_T_imu)
-    return Estimate(world_T_imu, nearest_views(problem, world_T_imu), np.array([0.0, 0.0, 0.0, 1.0]),
-                    np.zeros_like(problem.lens_sigma))
+    return problem.at(problem.dead_reckoned() if world_T_imu is None else np.asarray(world_T_imu))
 
 
 def nearest_views(problem: Problem, world_T_imu: np.ndarray) -> np.ndarray:
@@ -219,37 +256,6 @@ def path_twists(world_T_imu: np.ndarray, taus: np.ndarray) -> tuple[np.ndarray, 
     return (step / taus[:, None], -se3.left_jacobian_inverse(step) / tau, se3.right_jacobian_inverse(step) / tau)
 
 
-def motion_residuals(problem: Problem, estimate: Estimate) -> tuple[np.ndarray, bsr_array, np.ndarray]:
-    """All residuals without a landmark: prior on T_0, IMU, walk. Each is divided by its standard deviation.
-
-    Returns r (n,), its derivative by the poses, sparse (n, 6T), and by the constants of the IMU (n, 4).
-    """
-    drive, noise, T = problem.drive, problem.noise, problem.drive.n_frames
-    xi, by_this, by_next = path_twists(estimate.world_T_imu, drive.taus)
-
-    whiten = np.linalg.inv(np.linalg.cholesky(noise.initial_pose_covariance))
-    e0 = se3.log(se3.inverse(problem.prior_world_T_imu) @ estimate.world_T_imu[0])
-    rows = [(whiten @ e0, block_rows(T, (whiten @ se3.right_jacobian_inverse(e0))[None]), np.zeros((6, 4)))]
-
-    bias, scale = estimate.imu[:3], estimate.imu[3]
-    gain = np.repeat([scale, 1.0], 3)
-    weight = 1 / np.repeat([noise.sigma_v, noise.sigma_omega], 3)
-    by_imu = np.zeros((T - 1, 6, 4))
-    by_imu[:, 3:, :3], by_imu[:, :3, 3] = np.eye(3), xi[:, :3]
-    scaled = (weight * gain)[:, None]
-    rows.append(((weight * (gain * xi + np.pad(bias, (3, 0)) - drive.step_twists)).ravel(),
-                 block_rows(T, scaled * by_this, scaled * by_next), (weight[:, None] * by_imu).reshape(-1, 4)))
-
-    if problem.walk_sigma is not None:
-        weight = 1 / np.repeat(problem.walk_sigma, 3)
-        w = weight[:, None]
-        rows.append(((weight * np.diff(xi, axis=0)).ravel(),
-                     block_rows(T, -w * by_this[:-1], w * (by_this[1:] - by_next[:-1]), w * by_next[1:]),
-                     np.zeros((6 * (T - 2), 4))))
-    r, J, J_imu = zip(*rows)
-    return np.concatenate(r), vstack(J, format="bsr"), np.concatenate(J_imu)
-
-
 def pixel_residuals(problem: Problem, estimate: Estimate) -> tuple[np.ndarray, ...]:
     """Predicted minus measured pixels, [u_left, v, u_right], divided by their standard deviations.
 
@@ -273,7 +279,7 @@ def pixel_residuals(problem: Problem, estimate: Estimate) -> tuple[np.ndarray, .
 class Linearised:
     """All residuals at one estimate and their derivatives; those of the pixels times the root of their robust weight.
 
-    cost : what is minimised. r, J, J_imu : see `motion_residuals`, the prior on the constants left out.
+    cost : what is minimised. r, J, J_imu : see `Problem.motion_residuals`, the prior on the constants left out.
     r_px, J_pose, J_landmark, J_lens : see `pixel_residuals`. r_constants : (4 + L,), constants of the IMU and the
     lenses minus their prior mean, not divided.
     """
@@ -290,10 +296,10 @@ class Linearised:
     r_constants: np.ndarray
 
     def whole(self) -> tuple[np.ndarray, csr_array]:
-        """Residuals (n,) and their whole sparse Jacobian (n, 6T + 3M), constants taken as known: to look at."""
+        """Residuals (n,) and their whole sparse Jacobian (n, size T + 3M), constants taken as known: to look at."""
         problem, N = self.problem, len(self.r_px)
         drive, rows = problem.drive, np.arange(N + 1)
-        by_pose = bsr_array((self.J_pose, drive.frame, rows), shape=(3 * N, 6 * drive.n_frames))
+        by_pose = bsr_array((self.J_pose, drive.frame, rows), shape=(3 * N, problem.size * drive.n_frames))
         by_landmark = bsr_array((self.J_landmark, problem.landmark, rows), shape=(3 * N, 3 * drive.n_landmarks))
         nothing = csr_array((len(self.r), 3 * drive.n_landmarks))
         return (np.concatenate([self.r, self.r_px.ravel()]),
@@ -302,8 +308,9 @@ class Linearised:
 
 def linearise(problem: Problem, estimate: Estimate) -> Linearised:
     """The problem at an estimate: cost, residuals, derivatives."""
-    r, J, J_imu = motion_residuals(problem, estimate)
+    r, J, J_imu = problem.motion_residuals(estimate)
     r_px, J_pose, J_landmark, J_lens, in_front = pixel_residuals(problem, estimate)
+    J_pose = np.pad(J_pose, ((0, 0), (0, 0), (0, problem.size - 6)))
     cost_px, weight = problem.loss(np.where(in_front, np.sum(r_px**2, axis=-1), BEHIND))
     root = np.sqrt(weight)[:, None, None]
     r_constants = np.concatenate([estimate.imu - [0, 0, 0, 1], estimate.lens])
@@ -390,11 +397,16 @@ class Solution:
 
     def pose_covariance(self, frames: ArrayLike) -> np.ndarray:
         """(n, 6, 6): marginal covariance of the right perturbation of each of the frames (n,)."""
-        return self._covariance(6 * np.asarray(frames)[:, None] + np.arange(6))
+        return self.frame_covariance(frames)[:, :6, :6]
+
+    def frame_covariance(self, frames: ArrayLike) -> np.ndarray:
+        """(n, size, size): marginal covariance of all unknowns of each of the frames (n,)."""
+        size = self.problem.size
+        return self._covariance(size * np.asarray(frames)[:, None] + np.arange(size))
 
     def landmark_covariance(self, landmarks: np.ndarray) -> np.ndarray:
         """(n, 3, 3), m^2, world: marginal covariance of each of the landmarks (n,)."""
-        first = 6 * self.problem.drive.n_frames
+        first = self.problem.size * self.problem.drive.n_frames
         return self._covariance(first + 3 * np.asarray(landmarks)[:, None] + np.arange(3))
 
     def lens_covariance(self) -> np.ndarray:
@@ -403,7 +415,7 @@ class Solution:
 
     def _covariance(self, rows: np.ndarray) -> np.ndarray:
         """Blocks of H^-1, (n, d, d): the columns asked for are solved for, the others never formed. rows : (n, d)."""
-        unit = np.zeros((6 * self.problem.drive.n_frames + 3 * self.problem.drive.n_landmarks
+        unit = np.zeros((self.problem.size * self.problem.drive.n_frames + 3 * self.problem.drive.n_landmarks
                          + np.count_nonzero(self.problem.sigma_constants), rows.size))
         unit[rows.ravel(), np.arange(rows.size)] = 1
         columns = self._factorised.solve(unit)

@@ -103,8 +103,7 @@ class Innovation:
 
 
 NO_INNOVATION = Innovation(
-    np.empty(0, int), np.empty((0, 4)), np.empty((0, 4)), np.empty((0, 4, 4)), np.empty(0), np.empty(0, bool)
-)
+    np.empty(0, int), np.empty((0, 4)), np.empty((0, 4)), np.empty((0, 4, 4)), np.empty(0), np.empty(0, bool))
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,12 +21,12 @@ CHUNK = 32  # measurements absorbed at a time: few enough for small matrices, en
 def times_H(A: np.ndarray, rows: np.ndarray, H_landmark: np.ndarray, H_pose: np.ndarray, n: int) -> np.ndarray:
     """H A, (3m, c), for A (d, c)."""
     HA = (H_landmark @ A[:3 * n].reshape(n, 3, -1)[rows]).reshape(3 * len(rows), -1)
-    HA += H_pose.reshape(-1, 6) @ A[3 * n:3 * n + 6]
+    if H_pose.any():
+        HA += H_pose.reshape(-1, 6) @ A[3 * n:3 * n + 6]
     return HA
 
 
-def times_HT(X: np.ndarray, rows: np.ndarray, H_landmark: np.ndarray, H_pose: np.ndarray, n: int,
-             d: int) -> np.ndarray:
+def times_HT(X: np.ndarray, rows: np.ndarray, H_landmark: np.ndarray, H_pose: np.ndarray, n: int, d: int) -> np.ndarray:
     """H^T X, (d, c), for X (3m, c)."""
     out = np.zeros((d, X.shape[1]))
     out[:3 * n].reshape(n, 3, -1)[rows] = H_landmark.mT @ X.reshape(len(rows), 3, -1)
@@ -40,6 +40,19 @@ def diagonal_blocks(P: np.ndarray, rows: np.ndarray, H_landmark: np.ndarray, H_p
     cross = H_landmark @ P[:3 * n, 3 * n:3 * n + 6].reshape(n, 3, 6)[rows] @ H_pose.mT
     pose = P[3 * n:3 * n + 6, 3 * n:3 * n + 6]
     return H_landmark @ own @ H_landmark.mT + cross + cross.mT + H_pose @ pose @ H_pose.mT
+
+
+def correction(P: np.ndarray, rows: np.ndarray, H_landmark: np.ndarray, H_pose: np.ndarray, n: int,
+               residual: np.ndarray, variance: np.ndarray) -> np.ndarray:
+    """The delta of `absorb` alone, (d,), all measurements at once: P H^T S^-1 r."""
+    H = rows, H_landmark, H_pose, n
+    HP = times_H(P, *H)
+    S = times_H(HP.T, *H)
+    S.reshape(-1)[::len(S) + 1] += variance.ravel()
+    L, failed = dpotrf(S.T, lower=1, overwrite_a=1)
+    if failed:
+        raise np.linalg.LinAlgError("an innovation covariance is not positive definite")
+    return HP.T @ dtrsv(L, dtrsv(L, residual.ravel(), lower=1), lower=1, trans=1)
 
 
 def absorb(P: np.ndarray, rows: np.ndarray, H_landmark: np.ndarray, H_pose: np.ndarray, n: int, residual: np.ndarray,

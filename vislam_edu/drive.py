@@ -169,10 +169,11 @@ class Drive:
     def true_world_T_imu(self) -> np.ndarray:
         """(T, 4, 4) true IMU poses, NaN in frames whose pose is unknown; the world is the IMU frame at frame 0.
 
-        Where frame 0 has no truth, the world is the IMU frame at the first frame that has.
+        Where frame 0 has no truth, the world is the IMU frame at the first frame that has. With an accelerometer it is
+        the world of the truth, which has z up.
         Raises DriveError where no true pose is known; `has_truth` asks.
         """
-        return self._imu_T_truth_world @ self.truth_world_T_cam @ self.camera.cam_T_imu
+        return self._world_T_truth_world @ self.truth_world_T_cam @ self.camera.cam_T_imu
 
     @cached_property
     def true_landmarks(self) -> np.ndarray:
@@ -182,12 +183,14 @@ class Drive:
         """
         if self.truth_landmarks is None:
             raise DriveError(f"{self.name or 'this drive'} has no true landmarks (truth_landmarks is None)")
-        return se3.transform(self._imu_T_truth_world, self.truth_landmarks)
+        return se3.transform(self._world_T_truth_world, self.truth_landmarks)
 
     @cached_property
-    def _imu_T_truth_world(self) -> np.ndarray:
+    def _world_T_truth_world(self) -> np.ndarray:
         if self.truth_world_T_cam is None or not self.has_truth:
             raise DriveError(f"{self.name or 'this drive'} has no ground truth: no true pose of any frame is known")
+        if self.imu is not None:
+            return np.eye(4)
         first = np.flatnonzero(np.isfinite(self.truth_world_T_cam[:, 0, 0]))[0]
         return se3.inverse(self.truth_world_T_cam[first] @ self.camera.cam_T_imu)
 

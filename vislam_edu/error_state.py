@@ -26,10 +26,12 @@ class ErrorState(ABC):
     points : n landmarks as `Belief.points` holds them, (n, *point_shape); `WorldPoints` are (n, 3), m, world frame.
     role : key of `plots.style.COLOURS` that such a filter is drawn with.
     landmark_rows, pose_rows : names of the three rows of a landmark and of the six of the pose.
+    iterated : whether a frame is worth a second linearisation, at the step that the cameras say was made.
     """
 
     name: str
     role = "slam"
+    iterated = False
     point_shape: tuple[int, ...] = (3,)
     landmark_rows = ("x", "y", "z")
     pose_rows = ("forward", "left", "up", "roll", "pitch", "yaw")
@@ -312,6 +314,7 @@ class InverseDepth(InvariantPose):
     """
 
     name = "relative inverse depth, right-invariant"
+    iterated = True  # a step moves the chart of every landmark, and y is a curved function of that
     point_shape = (3, 5)
     landmark_rows = ("a", "b", "ρ")
 

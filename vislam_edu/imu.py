@@ -264,6 +264,13 @@ def residual(before: State, after: State, motion: Preintegrated,
 # --- A stand-still ----------------------------------------------------------------------------------------------
 
 
+def upright(up: np.ndarray) -> np.ndarray:
+    """(3, 3): the shortest turn that takes the unit vector `up` (3,), IMU frame, to the z axis of the world."""
+    turn = np.cross(up, [0.0, 0.0, 1.0])
+    sine = np.linalg.norm(turn)
+    return so3_exp(turn * (np.arctan2(sine, up[2]) / sine if sine > 0 else 1.0))
+
+
 def stand_still(gyro: np.ndarray, accelerometer: np.ndarray, taus: np.ndarray, noise: ImuNoise = ADIS16448,
                 bias_sigma: float = 0.1, gravity: np.ndarray = GRAVITY) -> tuple[State, np.ndarray]:
     """State and covariance (15, 15) after samples (n, 3) of an IMU that does not move, of taus (n,) s.
@@ -276,10 +283,7 @@ def stand_still(gyro: np.ndarray, accelerometer: np.ndarray, taus: np.ndarray, n
     up = accelerometer.mean(axis=0)
     length, g = np.linalg.norm(up), np.linalg.norm(gravity)
     up = up / length
-    turn = np.cross(up, [0.0, 0.0, 1.0])
-    sine = np.linalg.norm(turn)
-    upright = turn * (np.arctan2(sine, up[2]) / sine if sine > 0 else 1.0)
-    state = replace(State.at_rest(gyro.mean(axis=0), (length - g) * up), rotation=so3_exp(upright))
+    state = replace(State.at_rest(gyro.mean(axis=0), (length - g) * up), rotation=upright(up))
 
     white = noise.covariance(taus.sum()).diagonal()
     across = np.eye(3) - np.outer(up, up)

@@ -12,26 +12,32 @@ Source: Barrau, Bonnabel, The invariant extended Kalman filter as a stable obser
 Contact-aided invariant extended Kalman filtering, 2020.
 
 >>> samples = ImuSamples(np.arange(200) * 0.005, np.full((200, 3), 0.01), np.tile([0, 0, 9.9], (200, 1)))
->>> state, P = initial(samples, 0.0)
->>> state.gyro_bias.round(3).tolist(), state.accelerometer_bias.round(3).tolist()
-([0.01, 0.01, 0.01], [0.0, 0.0, 0.09])
+>>> round(still_until(samples), 3)
+0.995
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
+from itertools import pairwise
 
 import numpy as np
 
-from . import imu, motion, se3
+from . import imu, motion, se3, window_slam
 from .belief import Belief
 from .drive import Drive, DriveError
-from .error_state import ErrorState
+from .error_state import ErrorState, InverseDepth, RightPerturbation
 from .imu import ADIS16448, ImuNoise, State
 from .noise import Noise
+from .odometry import Trajectory
 
 BIAS_SIGMA = np.repeat([0.1, 0.2], 3)  # rad/s and m/s^2, what a bias may be before anything was measured
 STILL = 0.02, 0.3  # rad/s and m/s^2: how far the samples of an IMU at rest may spread
+LEAST_STILL, STILL_PX = 0.3, 2.0  # s, the shortest stand-still to start from; px, the median track in that time
+UP = 0.2  # rad, how far up may be estimated wrongly
+ALIGN = 2.0  # s, of a drive that begins in motion: how much of it its start is found from
+LEAST_TRACKS, PATH_SIGMA = 8, 0.02  # in each frame of that part; m, of the cameras' path over it
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,18 +89,6 @@ def samples_of(drive: Drive) -> ImuSamples:
     return drive.imu
 
 
-def error_with_velocity(error_state: ErrorState) -> ErrorState:
-    """The error state with a velocity in `Belief.motion[:3]` that is corrected as a position is."""
-
-    class WithVelocity(type(error_state)):  # type: ignore[misc]
-        def retract_motion(self, world_T_imu: np.ndarray, values: np.ndarray, delta: np.ndarray) -> np.ndarray:
-            as_pose = se3.pose(world_T_imu[:3, :3], values[:3])
-            moved, _ = self.retract(as_pose, np.empty((0, *self.point_shape)), delta[np.r_[6:9, 3:6]])
-            return np.concatenate([moved[:3, 3], values[3:] + delta[9:]])
-
-    return WithVelocity()
-
-
 def to_imu_order(error_state: ErrorState, world_T_imu: np.ndarray, velocity: np.ndarray) -> np.ndarray:
     """(15, 15): error of a filter [p, R, v, b_g, b_a] to that of `imu` [R, p, v, b_g, b_a], to first order."""
     R = world_T_imu[:3, :3]
@@ -111,23 +105,26 @@ class AccelerometerDriven(motion.MotionModel):
 
     drive : Drive with samples, `Drive.imu`. noise : Noise; the IMU's own is that of the samples.
     error_state : `ErrorState`. begin : `imu.State` at frame 0 and its covariance (15, 15), in the order of `imu`; by
-    default those of a stand-still (`initial`).
+    default `initial`.
     Raises DriveError for a drive without samples.
     """
 
     def __init__(self, drive: Drive, noise: Noise, error_state: ErrorState,
                  begin: tuple[State, np.ndarray] | None = None) -> None:
-        self.samples, self.times = samples_of(drive), drive.times
-        self.error_state = error_with_velocity(error_state)
-        self.begin = begin
+        self.samples, self.times, self.drive, self.noise = samples_of(drive), drive.times, drive, noise
+        self.error_state, self.begin = error_state, begin
+        self.no_points = np.empty((0, *error_state.point_shape))
 
     def start(self, world_T_imu: np.ndarray | None = None) -> Belief:
         """The belief at frame 0. A pose given takes the place of the one that the samples show."""
-        state, P = self.begin or initial(self.samples, self.times[0])
-        T = se3.pose(state.rotation, state.position) if world_T_imu is None else np.array(world_T_imu)
+        state, P = self.begin or initial(self.drive, self.noise)
+        if world_T_imu is not None:
+            T = np.array(world_T_imu)
+            turn = T[:3, :3] @ state.rotation.T
+            state = replace(state, rotation=T[:3, :3], position=T[:3, 3], velocity=turn @ state.velocity)
+        T = se3.pose(state.rotation, state.position)
         M = np.linalg.inv(to_imu_order(self.error_state, T, state.velocity))
-        no_points = np.empty((0, *self.error_state.point_shape))
-        return Belief(T, no_points, np.empty(0, dtype=int), motion.symmetric(M @ P @ M.T),
+        return Belief(T, self.no_points, np.empty(0, dtype=int), motion.symmetric(M @ P @ M.T),
                       np.concatenate([state.velocity, state.gyro_bias, state.accelerometer_bias]))
 
     def transition(self, belief: Belief, k: int) -> motion.Transition:
@@ -147,6 +144,12 @@ class AccelerometerDriven(motion.MotionModel):
     def predict(self, belief: Belief, k: int) -> Belief:
         """The belief at frame k + 1 before the camera update."""
         return motion.propagate(belief, self.transition(belief, k))
+
+    def retract_motion(self, belief: Belief, delta: np.ndarray) -> np.ndarray:
+        """The velocity is corrected as a position is, the biases by a sum."""
+        as_pose = se3.pose(belief.world_T_imu[:3, :3], belief.motion[:3])
+        moved, _ = self.error_state.retract(as_pose, self.no_points, delta[np.r_[6:9, 3:6]])
+        return np.concatenate([moved[:3, 3], belief.motion[3:] + delta[9:]])
 
 
 def state_of(belief: Belief) -> State:
@@ -188,6 +191,23 @@ def in_world_of(start: np.ndarray, world_T_imu: np.ndarray) -> np.ndarray:
     return se3.pose(R, start[:3, 3] - R @ world_T_imu[:3, 3])
 
 
+def in_world_of_estimate(drive: Drive, world_T_imu: np.ndarray) -> Drive:
+    """The drive with its truth in the world of estimated poses (T, 4, 4), which has z up, see `in_world_of`.
+
+    Where the truth's own world has another axis up, by more than `UP`, the two first poses become the same.
+    """
+    if not drive.has_truth:
+        return drive
+    truth = drive.true_world_T_imu
+    first = np.flatnonzero(np.isfinite(truth[:, 0, 0]))[0]
+    W = in_world_of(world_T_imu[first], truth[first])
+    if (W @ truth[first])[2, :3] @ world_T_imu[first, 2, :3] < np.cos(UP):
+        W = world_T_imu[first] @ se3.inverse(truth[first])
+    landmarks = drive.truth_landmarks
+    return drive.replace(truth_world_T_cam=W @ drive.truth_world_T_cam,
+                         truth_landmarks=None if landmarks is None else se3.transform(W, landmarks))
+
+
 def still_until(samples: ImuSamples, start: float = -np.inf, window: float = 0.2) -> float:
     """The time, s, until which the IMU stands still: within `STILL` of the first `window` s. `start` : s, from where.
 
@@ -203,21 +223,90 @@ def still_until(samples: ImuSamples, start: float = -np.inf, window: float = 0.2
     return float(times[moving[0]]) if moving.size else float(times[-1])
 
 
-def initial(samples: ImuSamples, start: float, least: float = 0.3) -> tuple[State, np.ndarray]:
-    """State and covariance (15, 15), order of `imu`, at time `start`, s, from a stand-still of `least` s.
+def stands_still(drive: Drive) -> bool:
+    """Whether a drive begins with a stand-still of at least `LEAST_STILL`: neither its IMU nor its tracks move.
 
-    Without a stand-still, up is guessed from the mean of the accelerometer over that time. The car's own acceleration
-    is a part of that mean: 1 m/s^2 tilts the guess by 0.1 rad. Biases and velocity are then zero with a large
-    uncertainty, and the cameras have to find them.
+    Raises DriveError without samples.
     """
-    end = still_until(samples, start)
-    still = end - start >= least
-    gyro, accelerometer, taus = samples.between(start, end if still else start + least)
-    state, P = imu.stand_still(gyro, accelerometer, taus, samples.noise, BIAS_SIGMA[3])
-    if not still:
-        state = replace(state, gyro_bias=np.zeros(3), accelerometer_bias=np.zeros(3))
-        P = np.diag(np.square(np.concatenate([[0.1, 0.1, 1e-4], [1e-4] * 3, [30.0] * 3, BIAS_SIGMA])))
-    P[imu.POSITION, imu.POSITION] += 1e-8 * np.eye(3)
-    P[imu.ROTATION, imu.ROTATION] += 1e-8 * np.outer(state.rotation[2], state.rotation[2])
-    P[imu.VELOCITY, imu.VELOCITY] += 1e-6 * np.eye(3)
-    return state, P
+    until = drive.times[0] + LEAST_STILL
+    ids, pixels = drive.observed(0)
+    later, moved = drive.observed(min(int(np.searchsorted(drive.times, until)), drive.n_frames - 1))
+    _, a, b = np.intersect1d(ids, later, return_indices=True)
+    tracks_rest = len(a) == 0 or np.median(np.abs(moved[b] - pixels[a])) < STILL_PX
+    return bool(tracks_rest and still_until(samples_of(drive), drive.times[0]) >= until)
+
+
+def initial(drive: Drive, noise: Noise) -> tuple[State, np.ndarray]:
+    """State and covariance (15, 15), order of `imu`, at frame 0: from a stand-still, without one from `aligned`."""
+    samples, start = samples_of(drive), drive.times[0]
+    if not stands_still(drive):
+        return aligned(drive, noise)
+    state, P = imu.stand_still(*samples.between(start, still_until(samples, start)), samples.noise, BIAS_SIGMA[3])
+    return state, P + np.diag(np.repeat([0, 1e-8, 1e-6, 0, 0], 3)) + heading_known(state)
+
+
+def heading_known(state: State) -> np.ndarray:
+    """(15, 15), the least variance of a turn about up: the heading at the start is known, it names the world."""
+    P = np.zeros((15, 15))
+    P[imu.ROTATION, imu.ROTATION] = 1e-8 * np.outer(state.rotation[2], state.rotation[2])
+    return P
+
+
+def camera_path(drive: Drive, noise: Noise) -> tuple[np.ndarray, np.ndarray]:
+    """Poses (T, 4, 4) in the IMU frame at frame 0, and the gyro's bias (3,), rad/s, from cameras and gyro alone.
+
+    The filter of `motion.TwistAndBias` without a measured speed: an acceleration of about 5 m/s^2 may change it.
+    """
+    samples, tau = samples_of(drive), drive.taus.mean()
+    pieces = [samples.between(*ends) for ends in pairwise(drive.times)]
+    omega = np.array([np.average(gyro, axis=0, weights=taus) for gyro, _, taus in pieces])
+    twists = np.pad(np.concatenate([omega, omega[-1:]]), ((0, 0), (3, 0)))
+    steps = window_slam.run(drive.replace(twists=twists, imu_sample="k"), replace(noise, sigma_v=1e3, sigma_omega=0.01),
+                            InverseDepth(), motion_model=partial(motion.TwistAndBias, walk_v=5 * tau,
+                                                                 walk_omega=5 * tau))
+    beliefs = [step.posterior for step in steps]
+    return np.array([belief.world_T_imu for belief in beliefs]), beliefs[-1].motion[6:]
+
+
+def aligned(drive: Drive, noise: Noise) -> tuple[State, np.ndarray]:
+    """State and covariance (15, 15), order of `imu`, at frame 0 of a drive that begins in motion.
+
+    The cameras' path p_k of the first `ALIGN` s, in the IMU frame at frame 0, is what the preintegrated samples say
+    for the right velocity v, gravity g and accelerometer bias b: p_k = v t + g t^2 / 2 + (motion) + (its derivative) b.
+    This is linear in these nine numbers; |g| is known. The covariance is wide: the filter then uses the same samples
+    and pixels again, from a start that is near enough to linearise at.
+    Raises DriveError where too few tracks are in view.
+    Source: Qin, Li, Shen, VINS-Mono, 2018, section V-B, for cameras whose scale is known.
+    """
+    samples, begin, g = samples_of(drive), drive.times[0], np.linalg.norm(imu.GRAVITY)
+    first = drive.slice(0, int(np.searchsorted(drive.times, begin + ALIGN)))
+    if first.n_frames < 5 or first.visible.min() < LEAST_TRACKS:
+        raise DriveError(f"{drive.name or 'this drive'} begins without a stand-still of {LEAST_STILL} s, and its first "
+                         f"{ALIGN:g} s have frames with fewer than {LEAST_TRACKS} tracks: begin it at rest, or "
+                         "later, where more is in view")
+    path, gyro_bias = camera_path(first, noise)
+    motions = [imu.preintegrate(*samples.between(begin, end), gyro_bias, np.zeros(3), samples.noise)
+               for end in first.times[1:]]
+    A = np.concatenate([np.hstack([m.duration * np.eye(3), m.duration**2 / 2 * np.eye(3),
+                                   m.bias_jacobian[imu.POSITION, 3:]]) for m in motions]) / PATH_SIGMA
+    r = np.concatenate([T[:3, 3] - m.position for T, m in zip(path[1:], motions)]) / PATH_SIGMA
+    A, r = np.vstack([A, np.eye(3, 9, 6) / BIAS_SIGMA[3]]), np.append(r, np.zeros(3))
+    x = np.linalg.lstsq(A, r)[0]
+    for _ in range(3):  # the length of g is known: along the direction found so far it is a linear equation
+        length = np.pad(x[3:6] / np.linalg.norm(x[3:6]), 3)
+        x = np.linalg.lstsq(np.vstack([A, 1e3 * length]), np.append(r, 1e3 * g))[0]
+    R = imu.upright(-x[3:6] / np.linalg.norm(x[3:6]))
+    state = State(R, np.zeros(3), R @ x[:3], gyro_bias, x[6:])
+    P = np.diag(np.square(np.repeat([0.0, 1e-4, 0.3, 0.01, BIAS_SIGMA[3]], 3)))
+    P[imu.ROTATION, imu.ROTATION] = 0.03**2 * (np.eye(3) - np.outer(R[2], R[2]))
+    return state, P + heading_known(state)
+
+
+def dead_reckon(drive: Drive, noise: Noise, begin: tuple[State, np.ndarray]) -> Trajectory:
+    """Gyro and accelerometer integrated with nothing to correct them, from `begin` on, see `AccelerometerDriven`."""
+    model = AccelerometerDriven(drive, noise, RightPerturbation(), begin)
+    beliefs = [model.start()]
+    for k in range(drive.n_frames - 1):
+        beliefs.append(model.predict(beliefs[-1], k))
+    return Trajectory(drive.times, np.array([b.world_T_imu for b in beliefs]),
+                      np.array([b.pose_covariance for b in beliefs]))

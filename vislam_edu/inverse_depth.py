@@ -11,7 +11,8 @@ what the cameras see depends on y alone, and no measurement can tell where the w
 
 `window_slam.run(drive, noise, InverseDepth())` gives the same numbers fast.
 Source: Civera, Davison, Montiel, Inverse depth parametrization for monocular SLAM, 2008 (the coordinates); Barrau,
-Bonnabel, An EKF-SLAM algorithm with consistency properties, 2015 (the error of the pose).
+Bonnabel, An EKF-SLAM algorithm with consistency properties, 2015 (the error of the pose); Bell, Cathey, The iterated
+Kalman filter update as a Gauss-Newton method, 1993 (the second linearisation).
 
 >>> from vislam_edu import Noise, inverse_depth, load
 >>> *_, last = inverse_depth.run(load("first_steps").slice(0, 5), Noise())
@@ -25,7 +26,7 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from . import kalman, se3
-from .belief import Belief, Innovation, Step
+from .belief import NO_INNOVATION, Belief, Innovation, Step
 from .drive import Drive
 from .noise import Noise
 from .stereo import StereoCamera
@@ -49,11 +50,16 @@ def landmark_noise(point: np.ndarray, B: np.ndarray) -> np.ndarray:
     return E @ (se3.so3_hat(M) @ B[3:] - rho * B[:3])
 
 
-def predict(belief: Belief, twist: np.ndarray, tau: float, noise: Noise) -> Belief:
-    """The pose moves along the twist (6,), m/s and rad/s, for tau seconds: F = I, P + N Q N^T."""
+def move(belief: Belief, twist: np.ndarray, tau: float) -> tuple[np.ndarray, np.ndarray]:
+    """Pose (4, 4) after a twist (6,), m/s and rad/s, of tau seconds, and N (3n+6, 6): its error to all errors."""
     after = belief.world_T_imu @ se3.exp(tau * twist)
     B = tau * se3.adjoint(after) @ se3.right_jacobian(tau * twist)
-    N = np.vstack([*(landmark_noise(point, B) for point in belief.points), B])
+    return after, np.vstack([*(landmark_noise(point, B) for point in belief.points), B])
+
+
+def predict(belief: Belief, twist: np.ndarray, tau: float, noise: Noise) -> Belief:
+    """The pose moves along the twist: F = I, P + N Q N^T."""
+    after, N = move(belief, twist, tau)
     return Belief(after, belief.points, belief.ids, belief.covariance + N @ noise.twist_covariance @ N.T)
 
 
@@ -65,29 +71,58 @@ def look(camera: StereoCamera, world_T_imu: np.ndarray, point: np.ndarray) -> tu
     return q, camera.homogeneous_jacobian(q) @ cam_T_chart[:, [0, 1, 3]]
 
 
-def update(prior: Belief, ids: np.ndarray, pixels: np.ndarray, camera: StereoCamera, noise: Noise,
-           threshold: float) -> tuple[Belief, Innovation]:
-    """Correct all with pixels (m, 4) of known landmarks `ids` (m,) whose NIS is up to `threshold`."""
-    m, n, T, V = len(ids), len(prior.ids), prior.world_T_imu, noise.pixel_covariance
-    H, q = np.zeros((m, 4, 3 * n + 6)), np.zeros((m, 4))  # the six columns of the pose stay zero
-    for i, j in enumerate(np.nonzero(prior.ids == ids[:, None])[1]):
-        q[i], H[i, :, 3 * j:3 * j + 3] = look(camera, T, prior.points[j])
+def linearise(belief: Belief, ids: np.ndarray, camera: StereoCamera) -> tuple[np.ndarray, np.ndarray]:
+    """H (m, 4, 3n+6) of known landmarks `ids` (m,), and where they are, (m, 4). The columns of the pose are zero."""
+    m, n = len(ids), len(belief.ids)
+    H, q = np.zeros((m, 4, 3 * n + 6)), np.zeros((m, 4))
+    for i, j in enumerate(np.nonzero(belief.ids == ids[:, None])[1]):
+        q[i], H[i, :, 3 * j:3 * j + 3] = look(camera, belief.world_T_imu, belief.points[j])
+    return H, q
+
+
+def step(before: Belief, twist: np.ndarray, tau: float, ids: np.ndarray, pixels: np.ndarray, camera: StereoCamera,
+         noise: Noise, threshold: float) -> tuple[Belief, Belief, Innovation]:
+    """Predict, and correct all with pixels (m, 4) of known landmarks `ids` (m,) whose NIS is up to `threshold`.
+
+    Returns prior, posterior and innovation; for `twist` and `tau` see `move`.
+    """
+    prior, V = predict(before, twist, tau, noise), noise.pixel_covariance
+    H, q = linearise(prior, ids, camera)
     S = kalman.innovation_covariance(prior.covariance, H, V)
     predicted, in_front = camera.project_homogeneous(q)
-    nis = np.where(in_front, kalman.nis(pixels - predicted, S), np.inf)
+    residual = pixels - predicted
+    nis = np.where(in_front, kalman.nis(residual, S), np.inf)
     good = in_front & (nis <= threshold)
-    delta, P = kalman.update(prior.covariance, H[good].reshape(-1, 3 * n + 6), np.kron(np.eye(good.sum()), V),
-                             (pixels - predicted)[good].ravel())
-    return retract(prior, delta, P), Innovation(ids, pixels, predicted, S, nis, good)
+    delta, _ = kalman.update(prior.covariance, np.concatenate(H[good]), np.kron(np.eye(good.sum()), V),
+                             residual[good].ravel())
+
+    N = move(before, twist, tau)[1]
+    n = np.linalg.solve(N[-6:], delta[-6:])  # the error of the twist that explains the new pose
+    eta = delta - N @ n                      # and what is left of the landmarks' correction
+    there = Belief(before.world_T_imu, shifted(before.points, eta), before.ids, before.covariance)
+    error = -move(there, twist + n, tau)[1] @ n - eta  # of the prior's mean, seen from the second linearisation
+    there = predict(there, twist + n, tau, noise)
+    H, q = linearise(there, ids, camera)
+    again, in_front = camera.project_homogeneous(q)
+    good &= in_front
+    delta, P = kalman.update(there.covariance, np.concatenate(H[good]), np.kron(np.eye(good.sum()), V),
+                             (pixels - again - H @ error)[good].ravel())
+    return prior, retract(there, delta + error, P), Innovation(ids, pixels, predicted, S, nis, good)
+
+
+def shifted(points: np.ndarray, eta: np.ndarray) -> np.ndarray:
+    """Landmarks (n, 3, 5) with y + eta, eta the first 3n numbers."""
+    moved = points.copy()
+    moved[:, :, 4] += eta[:3 * len(points)].reshape(-1, 3)
+    return moved
 
 
 def retract(belief: Belief, delta: np.ndarray, covariance: np.ndarray) -> Belief:
     """y + eta; pose and charts move by exp(x^). delta : (3n+6,)."""
-    move, points = se3.exp(delta[-6:]), belief.points.copy()
-    points[:, :, :4] = move[:3, :3] @ points[:, :, :4]
-    points[:, :, 3] += move[:3, 3]
-    points[:, :, 4] += delta[:-6].reshape(-1, 3)
-    return Belief(move @ belief.world_T_imu, points, belief.ids, covariance)
+    change, points = se3.exp(delta[-6:]), shifted(belief.points, delta)
+    points[:, :, :4] = change[:3, :3] @ points[:, :, :4]
+    points[:, :, 3] += change[:3, 3]
+    return Belief(change @ belief.world_T_imu, points, belief.ids, covariance)
 
 
 def initialise(belief: Belief, ids: np.ndarray, pixels: np.ndarray, camera: StereoCamera, noise: Noise) -> Belief:
@@ -108,9 +143,13 @@ def run(drive: Drive, noise: Noise, gate: float = 0.99, world_T_imu: np.ndarray 
     start = np.eye(4) if world_T_imu is None else world_T_imu
     posterior = Belief(start, np.empty((0, 3, 5)), np.empty(0, int), noise.initial_pose_covariance)
     for k in range(drive.n_frames):
-        prior = predict(posterior, drive.step_twists[k - 1], drive.taus[k - 1], noise) if k else posterior
         ids, pixels = drive.observed(k)
-        old = np.isin(ids, prior.ids)
-        posterior, innovation = update(prior, ids[old], pixels[old], camera, noise, threshold)
+        old = np.isin(ids, posterior.ids)
+        prior, innovation = posterior, NO_INNOVATION
+        if old.any():
+            prior, posterior, innovation = step(posterior, drive.step_twists[k - 1], drive.taus[k - 1], ids[old],
+                                                pixels[old], camera, noise, threshold)
+        elif k:
+            prior = posterior = predict(posterior, drive.step_twists[k - 1], drive.taus[k - 1], noise)
         posterior = initialise(posterior, ids[~old], pixels[~old], camera, noise)
         yield Step(k, drive.times[k], prior, posterior, innovation, ids[~old], np.empty(0, int))

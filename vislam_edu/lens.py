@@ -43,7 +43,7 @@ class Lens:
         """Pixels of this camera (..., 2) as pixels of the rectified one, whose matrix is K."""
         seen = bearing(self.K, points)[..., :2]
         xy = seen
-        for _ in range(20):  # a fixed point: the distortion changes slowly over the image
+        for _ in range(20 if np.any(self.distortion) else 0):  # a fixed point: it changes slowly over the image
             xy = xy - (self.distorted(xy) - seen)
         ray = np.concatenate([xy, np.ones_like(xy[..., :1])], axis=-1) @ self.rectified_R_cam.T
         return ray[..., :2] / ray[..., 2:] * np.diag(K)[:2] + K[:2, 2]
@@ -68,24 +68,17 @@ class Rig:
         return np.concatenate([self.left.rectify(left, K), self.right.rectify(right, K)], axis=-1)
 
 
-def parallel(left_T_right: np.ndarray) -> np.ndarray:
-    """rectified_R_left (3, 3): turned by it a left camera looks as both can, x along the baseline, z near their own.
+def rectified(K_left: np.ndarray, K_right: np.ndarray, left_T_right: np.ndarray, cam_T_imu: np.ndarray,
+              distortion_left: ArrayLike = (0, 0, 0, 0), distortion_right: ArrayLike = (0, 0, 0, 0)) -> Rig:
+    """The rig whose rectified cameras look the same way: x along the baseline, z near both cameras' own, one K.
 
-    left_T_right : (4, 4). The new z axis is the mean of both, made orthogonal to x.
+    K_left, K_right (3, 3) px; left_T_right, cam_T_imu (4, 4), of the left camera before it is rectified. The new z axis
+    is the mean of both, made orthogonal to x; the new K is the mean of both, with one focal length.
     """
     x = left_T_right[:3, 3] / np.linalg.norm(left_T_right[:3, 3])
     y = np.cross(left_T_right[:3, 2] + [0, 0, 1], x)
     y /= np.linalg.norm(y)
-    return np.stack([x, y, np.cross(x, y)])
-
-
-def rectified(K_left: np.ndarray, K_right: np.ndarray, left_T_right: np.ndarray, cam_T_imu: np.ndarray,
-              distortion_left: ArrayLike = (0, 0, 0, 0), distortion_right: ArrayLike = (0, 0, 0, 0)) -> Rig:
-    """The rig whose rectified cameras look the same way: x along the baseline, z near both cameras' own.
-
-    K_left, K_right (3, 3) px; left_T_right, cam_T_imu (4, 4), of the left camera before it is rectified.
-    """
-    rectified_R_left = parallel(left_T_right)
+    rectified_R_left = np.stack([x, y, np.cross(x, y)])
     K = np.array((K_left + K_right) / 2)
     K[0, 0] = K[1, 1] = (K[0, 0] + K[1, 1]) / 2
     turn = se3.pose(rectified_R_left, np.zeros(3))

@@ -53,8 +53,8 @@ def triangulated(camera: StereoCamera, noise: Noise, world_T_imu: np.ndarray, pi
     return NewLandmarks(camera.to_world(world_T_imu, points), covariance, ok, measured_again=False)
 
 
-def as_report(camera: StereoCamera, noise: Noise, world_T_imu: np.ndarray, pixels: np.ndarray,
-              min_disparity: float) -> NewLandmarks:
+def report_prior(camera: StereoCamera, noise: Noise, world_T_imu: np.ndarray, pixels: np.ndarray,
+                 min_disparity: float) -> NewLandmarks:
     """New landmarks the report's way: triangulated mean, covariance 2 I, and the same measurement used again.
 
     Source: report section 3.2.2 and 3.3.3.
@@ -68,7 +68,7 @@ def run(drive: Drive, noise: Noise, world_T_imu: np.ndarray, initialise: Callabl
         gate: float = 0.99, min_disparity: float = 1.0) -> Iterator[Step]:
     """The landmark EKF on poses assumed known (true ones, or dead-reckoned ones as in the report's figures).
 
-    world_T_imu : (T, 4, 4). initialise : `triangulated` or `as_report`. gate : probability that a good
+    world_T_imu : (T, 4, 4). initialise : `triangulated` or `report_prior`. gate : probability that a good
     measurement passes. min_disparity : px, below it a landmark waits for a better view.
     Yields one `Step` per frame, its beliefs `MapBelief`s. Known poses make the landmarks independent, so
     the report's 3M x 3M covariance is M blocks of 3 x 3, updated all at once.

@@ -53,9 +53,8 @@ def _with_truth(true: np.ndarray, estimated: np.ndarray) -> tuple[np.ndarray, np
 def align(true: np.ndarray, estimated: np.ndarray) -> np.ndarray:
     """The rigid motion that brings the estimated positions closest to the true ones, least squares, no scale.
 
-    true, estimated : (T, 4, 4). Returns true_T_estimated (4, 4): compare `true` with `true_T_estimated @
-    estimated`. Positions on one straight line leave the turn about that line open; one of the best is
-    returned.
+    true, estimated : (T, 4, 4). Returns true_T_estimated (4, 4): compare `true` with `true_T_estimated @ estimated`.
+    Positions on one straight line leave the turn about that line open; one of the best is returned.
     Source: Umeyama, Least-squares estimation of transformation parameters between two point patterns, PAMI
     1991.
     """
@@ -82,9 +81,8 @@ def ate(true: np.ndarray, estimated: np.ndarray) -> float:
     """Absolute trajectory error: RMS distance, m, between true and estimated positions after `align`.
 
     true, estimated : (T, 4, 4).
-    Source: Sturm et al., A benchmark for the evaluation of RGB-D SLAM systems, IROS 2012, section IV-B;
-    Zhang, Scaramuzza, A tutorial on quantitative trajectory evaluation, IROS 2018 (SE(3) alignment, all
-    frames).
+    Source: Sturm et al., A benchmark for the evaluation of RGB-D SLAM systems, IROS 2012, section IV-B; Zhang,
+    Scaramuzza, A tutorial on quantitative trajectory evaluation, IROS 2018 (SE(3) alignment, all frames).
     """
     return _rms(position_errors(true, align(true, estimated) @ estimated))
 
@@ -92,8 +90,7 @@ def ate(true: np.ndarray, estimated: np.ndarray) -> float:
 def rpe(true: np.ndarray, estimated: np.ndarray, step: float = 1) -> tuple[float, float]:
     """Relative pose error: RMS error of the motion over `step` frames, whatever went wrong before.
 
-    E_i = (true_i^-1 true_{i+step})^-1 (estimated_i^-1 estimated_{i+step}), every i for which both ends have
-    truth.
+    E_i = (true_i^-1 true_{i+step})^-1 (estimated_i^-1 estimated_{i+step}), every i for which both ends have truth.
 
     true, estimated : (T, 4, 4). step : frames.
     Returns (m, rad): RMS of the length of E_i's translation and of its rotation angle.
@@ -160,8 +157,7 @@ def _rms(values) -> float:
 
 
 def nees(error: np.ndarray, covariance: np.ndarray) -> np.ndarray:
-    """Normalised estimation error squared, e^T P^-1 e: chi-square with n degrees of freedom if the filter is
-    honest.
+    """Normalised estimation error squared, e^T P^-1 e: chi-square with n degrees of freedom if the filter is honest.
 
     Its mean is then n. Far above n the filter is overconfident, far below it wastes what it measured.
 
@@ -209,8 +205,7 @@ def pose_nees(error_state: ErrorState, true_world_T_imu: np.ndarray, world_T_imu
 
 
 def average_nis(steps: Iterable[Step]) -> float:
-    """Mean NIS of one stereo measurement over all steps of a filter; 4 if prediction and pixel noise are
-    honest.
+    """Mean NIS of one stereo measurement over all steps of a filter; 4 if prediction and pixel noise are honest.
 
     steps : iterable of `Step`. Gated measurements count too: leaving out the large ones would flatter the
     filter. A point predicted behind the camera has no NIS (it is infinite there) and is left out.
@@ -233,14 +228,12 @@ def mean_nis(nis: np.ndarray) -> float:
 def chi2_band(dof: float, runs: int = 1, probability: float = 0.99) -> tuple[float, float]:
     """(low, high): where the mean of `runs` independent chi-square numbers lies with this probability.
 
-    dof : degrees of freedom of one number: 6 for the NEES of a pose, 3 for its rotation or position, 4 for
-        the NIS.
+    dof : degrees of freedom of one number: 6 for the NEES of a pose, 3 for its rotation or position, 4 for the NIS.
     runs : 1 for the band of a single run at a single frame, N for the mean over N runs at one frame.
 
     A mean over the frames of a run as well scatters less than the band says, by how much depends on how long
     errors live; the band is then on the safe side for a filter that is honest at every frame.
-    Source: Bar-Shalom et al., section 5.4.2: the sum of N such numbers is chi-square with N dof degrees of
-    freedom.
+    Source: Bar-Shalom et al., section 5.4.2: the sum of N such numbers is chi-square with N dof degrees of freedom.
     """
     if not 0 < probability < 1:
         raise ValueError(f"a band holds a probability in (0, 1), got {probability!r}")

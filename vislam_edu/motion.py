@@ -7,7 +7,9 @@
 """
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -27,12 +29,23 @@ def start(noise: Noise, world_T_imu: np.ndarray | None = None, point_shape: tupl
     return Belief(T, np.empty((0, *point_shape)), np.empty(0, dtype=int), np.array(noise.initial_pose_covariance))
 
 
-def retract(belief: Belief, delta: np.ndarray, covariance: np.ndarray, error_state: ErrorState) -> Belief:
-    """The belief moved by an estimated error delta (3n+6+t,), with its new covariance."""
+RetractMotion = Callable[[Belief, np.ndarray], np.ndarray]
+
+
+def add(belief: Belief, delta: np.ndarray) -> np.ndarray:
+    """What a motion model estimates beyond the pose, (t,), after an error delta (6+t,), [pose, motion]: a sum."""
+    return belief.motion + delta[6:]
+
+
+def retract(belief: Belief, delta: np.ndarray, covariance: np.ndarray, error_state: ErrorState,
+            retract_motion: RetractMotion = add) -> Belief:
+    """The belief moved by an estimated error delta (3n+6+t,), with its new covariance.
+
+    retract_motion : `MotionModel.retract_motion` of what moves the car.
+    """
     end = belief.pose.stop
     T, points = error_state.retract(belief.world_T_imu, belief.points, delta[:end])
-    values = error_state.retract_motion(belief.world_T_imu, belief.motion, delta[end - 6:])
-    return Belief(T, points, belief.ids, covariance, values)
+    return Belief(T, points, belief.ids, covariance, retract_motion(belief, delta[end - 6:]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,6 +104,7 @@ class MotionModel(ABC):
     """Interface of what moves the car; made of a Drive, a Noise and an `ErrorState`, which it may extend."""
 
     error_state: ErrorState
+    retract_motion: RetractMotion = staticmethod(add)
 
     @abstractmethod
     def __init__(self, drive: Drive, noise: Noise, error_state: ErrorState) -> None: ...
@@ -103,6 +117,10 @@ class MotionModel(ABC):
     def predict(self, belief: Belief, k: int) -> Belief:
         """The belief at frame k + 1 before the camera update, from the one at frame k."""
 
+    def second_prediction(self, belief: Belief, k: int) -> Callable[[np.ndarray], tuple[Belief, np.ndarray]] | None:
+        """`UpdateSettings.predict_again` for the step from frame k; None where one linearisation is enough."""
+        return None
+
 
 class ImuDriven(MotionModel):
     """The report's motion model: the IMU is the input, its white noise the only thing that moves the error.
@@ -114,6 +132,7 @@ class ImuDriven(MotionModel):
     def __init__(self, drive: Drive, noise: Noise, error_state: ErrorState) -> None:
         taus = drive.taus[:, None]
         self.error_state = error_state
+        self.taus, self.samples = drive.taus, drive.step_twists
         self.increments = se3.exp(taus * drive.step_twists)
         self.body_noise = taus[..., None] * se3.right_jacobian(taus * drive.step_twists)
         self.Q = noise.twist_covariance
@@ -126,7 +145,11 @@ class ImuDriven(MotionModel):
     def transition(self, belief: Belief, k: int) -> Transition:
         """From frame k to frame k + 1."""
         after = belief.world_T_imu @ self.increments[k]
-        F, B = self.error_state.pose_transition(after, self.increments[k], self.body_noise[k])
+        return self._linearised(belief, after, self.increments[k], self.body_noise[k])
+
+    def _linearised(self, belief: Belief, after: np.ndarray, increment: np.ndarray,
+                    body_noise: np.ndarray) -> Transition:
+        F, B = self.error_state.pose_transition(after, increment, body_noise)
         n = len(belief.ids)
         return Transition(after, belief.motion, F, np.zeros((n, 3, 6)), B,
                           self.error_state.landmark_transition(belief.points, B), self.Q)
@@ -134,6 +157,28 @@ class ImuDriven(MotionModel):
     def predict(self, belief: Belief, k: int) -> Belief:
         """The belief at frame k + 1 before the camera update."""
         return propagate(belief, self.transition(belief, k))
+
+    def second_prediction(self, belief: Belief, k: int) -> Callable[[np.ndarray], tuple[Belief, np.ndarray]] | None:
+        """`predict_again`, for an error state that is `iterated`."""
+        return partial(self.predict_again, belief, k) if self.error_state.iterated else None
+
+    def predict_again(self, belief: Belief, k: int, delta: np.ndarray) -> tuple[Belief, np.ndarray]:
+        """`predict`, linearised where a first update (3n+6,) of its result led: along the sample u + n in place of u.
+
+        n is the error of the sample that explains the new pose, eta what is left of the landmarks' own correction.
+        Returns the belief there, and the error (3n+6,) that the prior's mean has there: -N n, and -eta.
+        """
+        first = self.transition(belief, k)
+        noise = np.linalg.solve(first.N_tail, delta[-6:])
+        eta = delta[:-6] - first.N_landmarks.reshape(-1, 6) @ noise
+        there = replace(belief, points=self.error_state.shifted(belief.points, eta.reshape(-1, 3)))
+        motion = self.taus[k] * (self.samples[k] + noise)
+        increment = se3.exp(motion)
+        second = self._linearised(there, belief.world_T_imu @ increment, increment,
+                                  self.taus[k] * se3.right_jacobian(motion))
+        error = np.concatenate([second.N_landmarks.reshape(-1, 6), second.N_tail]) @ -noise
+        error[:-6] -= eta
+        return propagate(there, second), error
 
 
 class TwistAndBias(MotionModel):

@@ -26,7 +26,7 @@ class Noise:
         in the body frame for a right perturbation, in the world frame for the right-invariant error. At the identity,
         where filters start unless a pose is given, the two are one. The default is the report's Sigma_RR.
     landmark_prior : m^2, the variance per axis that the report gives a new landmark (Sigma_LL = 2 I).
-        Only the `as_report` initialisations use it.
+        Only filters that start a landmark as the report does use it.
 
     Raises ValueError for a negative or non-finite number and for a covariance that is not symmetric positive
     semi-definite.

@@ -22,11 +22,11 @@ ALMOST_NOTHING = 1e-12  # 1/m^2, information about every landmark: where no came
 
 
 def block_rows(n_frames: int, *blocks: np.ndarray) -> bsr_array:
-    """Sparse (6n, 6T) whose row i holds blocks[0][i] at frame i, blocks[1][i] at frame i + 1, ...; each (n, 6, 6)."""
-    n, width = len(blocks[0]), len(blocks)
+    """Sparse (dn, dT) whose row i holds blocks[0][i] at frame i, blocks[1][i] at frame i + 1, ...; each (n, d, d)."""
+    (n, d, _), width = blocks[0].shape, len(blocks)
     columns = np.arange(n)[:, None] + np.arange(width)
-    return bsr_array((np.stack(blocks, axis=1).reshape(-1, 6, 6), columns.ravel(), width * np.arange(n + 1)),
-                     shape=(6 * n, 6 * n_frames))
+    return bsr_array((np.stack(blocks, axis=1).reshape(-1, d, d), columns.ravel(), width * np.arange(n + 1)),
+                     shape=(d * n, d * n_frames))
 
 
 class NormalEquations:
@@ -39,7 +39,7 @@ class NormalEquations:
 
     def __init__(self, at: Linearised):
         self.problem = problem = at.problem
-        T, M, N = problem.drive.n_frames, problem.drive.n_landmarks, len(at.r_px)
+        size, T, M, N = problem.size, problem.drive.n_frames, problem.drive.n_landmarks, len(at.r_px)
         to_frame = csr_array((np.ones(N), np.arange(N), problem.drive.frame_start), shape=(T, N))  # sums observations
         to_landmark = csr_array((np.ones(N), (problem.landmark, np.arange(N))), shape=(M, N))
         poseT, landmarkT = np.swapaxes(at.J_pose, 1, 2), np.swapaxes(at.J_landmark, 1, 2)
@@ -47,14 +47,14 @@ class NormalEquations:
         def total(sums, blocks):
             return (sums @ blocks.reshape(N, -1)).reshape(sums.shape[0], *blocks.shape[1:])
 
-        self.U = (at.J.T @ at.J + block_rows(T, total(to_frame, poseT @ at.J_pose))).tobsr((6, 6))
+        self.U = (at.J.T @ at.J + block_rows(T, total(to_frame, poseT @ at.J_pose))).tobsr((size, size))
         self.V = total(to_landmark, landmarkT @ at.J_landmark) + ALMOST_NOTHING * np.eye(3)
         self.E = problem.by_frame(poseT @ at.J_landmark)
         L = at.J_lens.shape[2]
         lens = at.J_lens.reshape(3 * N, L)
         self.free = np.flatnonzero(problem.sigma_constants > 0)
         information = problem.sigma_constants[self.free]**-2.0
-        by_lens = [total(to_frame, poseT @ at.J_lens).reshape(6 * T, L),
+        by_lens = [total(to_frame, poseT @ at.J_lens).reshape(size * T, L),
                    total(to_landmark, landmarkT @ at.J_lens).reshape(3 * M, L)]
         by_imu = [at.J.T @ at.J_imu, np.zeros((3 * M, 4))]
         self.B = np.hstack([np.vstack(by_imu), np.vstack(by_lens)])[:, self.free]
@@ -92,7 +92,8 @@ class Factorised:
         L_inverseT = np.swapaxes(self.L_inverse, 1, 2)
         self.F = problem.by_frame(normal.E.data @ L_inverseT[problem.landmark])
         self.S = (normal.U - self.F @ self.F.T).tocoo()
-        self.place = (6 * problem.rank[:, None] + np.arange(6)).ravel()  # of each row of S in the band
+        size = problem.size
+        self.place = (size * problem.rank[:, None] + np.arange(size)).ravel()  # of each row of S in the band
         row, column = self.place[self.S.row], self.place[self.S.col]
         below = row >= column
         band = np.zeros(((row - column).max() + 1, len(self.place)))

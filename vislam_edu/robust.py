@@ -71,7 +71,8 @@ def update(prior: Belief, ids: np.ndarray, pixels: np.ndarray, settings: UpdateS
     delta, covariance = blockwise.absorb(prior.covariance, *blocks, rows, noise)
     accepted = passed.copy()
     accepted[passed] = squared <= settings.threshold
-    return motion.retract(prior, delta, covariance, settings.error_state), replace(innovation, accepted=accepted)
+    posterior = motion.retract(prior, delta, covariance, settings.error_state, settings.retract_motion)
+    return posterior, replace(innovation, accepted=accepted)
 
 
 class RealDrive(motion.TwistAndBias):

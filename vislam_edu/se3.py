@@ -1,15 +1,13 @@
 """SO(3) and SE(3): from twists to poses and back, and how both react to a small change.
 
-A twist is `[v, omega]` (translation first), shape (..., 6); a pose is (..., 4, 4). Names without prefix
-belong to SE(3), names that start with `so3_` to SO(3). Everything broadcasts over leading axes, so one
-function serves one pose and a whole trajectory. Functions of the rotation angle are exact at angle zero, near
-it, and near pi.
+A twist is `[v, omega]` (translation first), shape (..., 6); a pose is (..., 4, 4). Names without prefix belong to
+SE(3), names that start with `so3_` to SO(3). Everything broadcasts over leading axes, so one function serves one pose
+and a whole trajectory. Functions of the rotation angle are exact at angle zero, near it, and near pi.
 
 This is not a pose class, and nothing here projects a matrix back onto the group: what goes in as a rotation
 must be one.
 
-Sources: report section 3.3.1; Barfoot, State Estimation for Robotics, chapter 7 (which names the same
-operators).
+Sources: report section 3.3.1; Barfoot, State Estimation for Robotics, chapter 7 (which names the same operators).
 
 >>> import numpy as np
 >>> from vislam_edu import se3
@@ -30,10 +28,8 @@ from numpy.typing import ArrayLike
 _SERIES_BELOW = 4.0  # rad^2, squared angle: at 2 rad series and closed forms agree to 1e-15
 _ORDERS = np.arange(15)
 _SERIES = np.array(  # power series in t^2, one row per order and one column per function a ... e
-    [
-        [(-1) ** n * top / factorial(2 * n + i) for i, top in enumerate((1, 1, 1, n + 1, n + 1), start=1)]
-        for n in range(len(_ORDERS))
-    ]
+    [[(-1) ** n * top / factorial(2 * n + i) for i, top in enumerate((1, 1, 1, n + 1, n + 1), start=1)]
+     for n in range(len(_ORDERS))]
 )
 
 
@@ -100,10 +96,9 @@ def so3_exp(phi: ArrayLike) -> np.ndarray:
 def so3_log(R: ArrayLike) -> np.ndarray:
     """Rotation vector of a rotation matrix, angle in [0, pi]. R (..., 3, 3); returns (..., 3), rad.
 
-    Goes through the unit quaternion q = [w, x, y, z]: the trace and the skew part alone lose half of the
-    digits near pi. 4 q q^T is linear in R; any of its rows is q times a number, and the row of the largest
-    diagonal entry is the one that divides by nothing small. At exactly pi both signs of the axis are right;
-    one is returned.
+    Goes through the unit quaternion q = [w, x, y, z]: the trace and the skew part alone lose half of the digits near
+    pi. 4 q q^T is linear in R; any of its rows is q times a number, and the row of the largest diagonal entry is the
+    one that divides by nothing small. At exactly pi both signs of the axis are right; one is returned.
     Source: Shepperd, Quaternion from rotation matrix, 1978.
     """
     R = checked(R, (3, 3), "R")

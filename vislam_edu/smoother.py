@@ -23,7 +23,7 @@ Source: Bierman, Fixed interval smoothing with discrete measurements, 1973 (the 
 np.int64(42)
 """
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial
 from itertools import islice
@@ -53,14 +53,17 @@ def _undo_update(lam: np.ndarray, Lam: np.ndarray, step: Step,
                  settings: UpdateSettings) -> tuple[np.ndarray, np.ndarray]:
     """Back through the update of one frame. lam (d, 1), Lam (d, d), over the landmarks of the prior."""
     prior, accepted = step.prior, step.innovation.accepted
-    ids = step.innovation.ids[accepted]
-    if len(ids) == 0:
+    if not accepted.any():
         return lam, Lam
-    H = window_slam.linearise(prior, ids, settings)[0].blocks(len(prior.ids))
-    residual = stereo.reduce_rows(step.innovation.residual[accepted])
+    linearised, residual = window_slam.linearise(prior, step.innovation.ids, settings)[0], step.innovation.residual
+    if settings.predict_again:
+        prior, _, linearised, residual, _ = window_slam.relinearise(prior, linearised, step.innovation, settings)
+    else:
+        linearised, residual = linearised.only(accepted), residual[accepted]
+    H, residual = linearised.blocks(len(prior.ids)), stereo.reduce_rows(residual)
     HP = blockwise.times_H(prior.covariance, *H)
     S = blockwise.times_H(HP.T, *H)
-    S[np.diag_indices(len(S))] += np.tile(settings.noise.sigma_px**2 * stereo.ROW_VARIANCE, len(ids))
+    S[np.diag_indices(len(S))] += np.tile(settings.noise.sigma_px**2 * stereo.ROW_VARIANCE, len(residual))
     L = cholesky(S, lower=True, check_finite=False)
 
     def solve(b: np.ndarray, trans: str = "N") -> np.ndarray:
@@ -168,13 +171,11 @@ def _backwards(n_frames: int, run: Callable[..., Iterator[Step]]) -> Iterator[tu
         yield from reversed(list(zip([start, *steps], steps)))
 
 
-def final_map(drive: Drive, noise: Noise, error_state: ErrorState | None = None,
-              progress: Callable[..., Iterable] = lambda frames, total: frames, **options: Any) -> MapBelief:
+def final_map(drive: Drive, noise: Noise, error_state: ErrorState | None = None, **options: Any) -> MapBelief:
     """Every landmark as the filter that never retires one would know it at the end of the drive.
 
     Returns a `MapBelief`; rows of landmarks that were never born are zero, and not `seen`.
     drive, noise, error_state, options : as for `window_slam.run`, with its `ImuDriven` motion model.
-    progress : called as `progress(frames, total=T)` on the backward walk, for instance `tqdm.auto.tqdm`.
     Raises ValueError for another motion model, for a run that retires nothing, or for robust weights.
 
     For `RightPerturbation` the result is that filter's, to rounding. For `RightInvariant` it is to first order: there
@@ -197,13 +198,16 @@ def final_map(drive: Drive, noise: Noise, error_state: ErrorState | None = None,
     lam, Lam = np.empty((0, 1)), np.empty((0, 0))
     run = partial(window_slam.run, drive, noise, error_state, **options)
     with threadpool_limits(limits=1, user_api="blas"):  # as in `window_slam.run`
-        for earlier, step in progress(_backwards(drive.n_frames, run), total=drive.n_frames):
+        for earlier, step in _backwards(drive.n_frames, run):
             if step.k == drive.n_frames - 1:  # the end: nothing later, what is in the state has its final estimate
                 d, n = len(step.posterior.covariance), len(step.posterior.ids)
                 lam, Lam = np.zeros((d, 1)), np.zeros((d, d))
                 _settle(final, step.posterior, np.zeros(n, bool), lam[3 * n:], Lam[3 * n:, 3 * n:], error_state)
             if earlier is None:
                 break
+            kept = window_slam.marginalise(earlier.posterior,
+                                           window_slam.contains(step.prior.ids, earlier.posterior.ids))
+            settings = replace(settings, predict_again=model.second_prediction(kept, earlier.k))
             lam, Lam = _undo_birth(lam, Lam, step, settings)
             lam, Lam = _undo_update(lam, Lam, step, settings)
             transition = model.transition(earlier.posterior, earlier.k)

@@ -1,9 +1,8 @@
 """The stereo camera: from points to pixels and back, and how both react to a small change.
 
-A rectified pair of pinhole cameras. A pixel measurement is `[u_left, v_left, u_right, v_right]`, px, shape
-(..., 4); points in the camera frame are those of the left camera (x right, y down, z forward), m. The right
-camera sits `baseline` metres along x. There is no lens distortion here: the pixels of a recording must be
-rectified.
+A rectified pair of pinhole cameras. A pixel measurement is `[u_left, v_left, u_right, v_right]`, px, shape (..., 4);
+points in the camera frame are those of the left camera (x right, y down, z forward), m. The right camera sits
+`baseline` metres along x. There is no lens distortion here: the pixels of a recording must be rectified.
 
 v_left and v_right share one model, so the four rows of a measurement carry three numbers.
 
@@ -130,10 +129,8 @@ def check_calibration(K: np.ndarray) -> None:
     fu, fv = K[0, 0], K[1, 1]
     pattern = np.array([[fu, 0.0, K[0, 2]], [0.0, fv, K[1, 2]], [0.0, 0.0, 1.0]])
     if not (np.isfinite(K).all() and fu > 0.0 and fv > 0.0 and np.array_equal(K, pattern)):
-        raise ValueError(
-            "K must be [[f_u, 0, c_u], [0, f_v, c_v], [0, 0, 1]] with positive focal lengths, "
-            f"got {K.tolist()}"
-        )
+        raise ValueError("K must be [[f_u, 0, c_u], [0, f_v, c_v], [0, 0, 1]] with positive focal lengths, "
+                         f"got {K.tolist()}")
 
 
 def check_extrinsics(T: np.ndarray) -> None:
@@ -254,8 +251,7 @@ class StereoCamera:
     def observe(self, world_T_imu: np.ndarray, landmarks: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Observation model `h(T, m) = K_s pi(cam_T_imu T^-1 m)`.
 
-        world_T_imu (..., 4, 4); landmarks (..., 3), m, world frame. Returns (pixels, in_front) as `project`
-        does.
+        world_T_imu (..., 4, 4); landmarks (..., 3), m, world frame. Returns (pixels, in_front) as `project` does.
         Source: report section 3.2.2, with T^-1 of the same time where it writes T_{t-1}.
         """
         return self.project(self.to_cam(world_T_imu, landmarks))
@@ -284,9 +280,8 @@ class StereoCamera:
     def triangulate(self, pixels: np.ndarray, min_disparity: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
         """Point of a pixel measurement, from the disparity `d = u_left - u_right`: depth `f_u baseline / d`.
 
-        pixels (..., 4), px. Returns (points_cam, ok): points_cam (..., 3), m, in the camera frame, always
-        finite, and ok (...), False where d <= min_disparity (px) or a pixel is NaN; the point is then
-        `PLACEHOLDER`.
+        pixels (..., 4), px. Returns (points_cam, ok): points_cam (..., 3), m, in the camera frame, always finite, and
+        ok (...), False where d <= min_disparity (px) or a pixel is NaN; the point is then `PLACEHOLDER`.
 
         This is the maximum likelihood point for equal noise on all four pixels: u_left and u_right fix x and
         z, and the mean of v_left and v_right fixes y. Without noise it inverts `project`.

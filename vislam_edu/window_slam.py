@@ -15,7 +15,7 @@ True
 """
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from threadpoolctl import ThreadpoolController
@@ -35,6 +35,9 @@ class UpdateSettings:
     camera : StereoCamera. noise : Noise. error_state : `ErrorState`.
     threshold : largest NIS (4 degrees of freedom) of a measurement that is used.
     min_disparity : px, below it a new landmark waits for a better view.
+    predict_again : from a first correction of the prior to the prior once more, linearised there, and the error that
+        the prior's mean has there; None: a frame is linearised once. See `motion.ImuDriven.predict_again`.
+    retract_motion : see `motion.retract`.
     """
 
     camera: StereoCamera
@@ -42,6 +45,8 @@ class UpdateSettings:
     error_state: ErrorState
     threshold: float
     min_disparity: float
+    predict_again: Callable[[np.ndarray], tuple[Belief, np.ndarray]] | None = None
+    retract_motion: motion.RetractMotion = motion.add
 
 
 Frame = tuple[Belief, Belief, Innovation]
@@ -96,17 +101,45 @@ def compute_innovation(prior: Belief, ids: np.ndarray, pixels: np.ndarray,
     return Innovation(ids, pixels, predicted, S, nis, in_front & (nis <= settings.threshold)), H
 
 
-def apply_update(prior: Belief, H: Linearised, residual: np.ndarray, settings: UpdateSettings) -> Belief:
+def apply_update(prior: Belief, H: Linearised, residual: np.ndarray, settings: UpdateSettings,
+                 error: np.ndarray | float = 0.0) -> Belief:
     """EKF update of the whole joint belief with all the measurements of H; residual : (m, 4), px.
 
+    error : (d,), the error that the mean of the prior has at the point of linearisation, zero where this is the mean.
     Source: report section 3.3.2, steps 3 to 5.
     """
     if not len(residual):
         return prior
-    variance = np.tile(settings.noise.sigma_px**2 * stereo.ROW_VARIANCE, (len(residual), 1))
     delta, covariance = blockwise.absorb(prior.covariance, *H.blocks(len(prior.ids)), stereo.reduce_rows(residual),
-                                         variance)
-    return motion.retract(prior, delta, covariance, settings.error_state)
+                                         _variance(residual, settings))
+    return motion.retract(prior, delta + error, covariance, settings.error_state, settings.retract_motion)
+
+
+def _variance(residual: np.ndarray, settings: UpdateSettings) -> np.ndarray:
+    return np.tile(settings.noise.sigma_px**2 * stereo.ROW_VARIANCE, (len(residual), 1))
+
+
+def relinearise(prior: Belief, H: Linearised, innovation: Innovation,
+                settings: UpdateSettings) -> tuple[Belief, np.ndarray, Linearised, np.ndarray, np.ndarray]:
+    """A step of Gauss and Newton over prediction and update: both linearised where the first update leads.
+
+    H : of all measurements of the innovation. Returns the belief at that point, the error (d,) of the prior's mean
+    there, H and the residual (m, 4), px, of the accepted measurements there, less H times that error, and which of all
+    they are: a landmark behind the camera there is left out.
+    Source: Bell, Cathey, The iterated Kalman filter update as a Gauss-Newton method, 1993.
+    """
+    assert settings.predict_again is not None
+    good, n = innovation.accepted, len(prior.ids)
+    residual = innovation.residual[good]
+    first = blockwise.correction(prior.covariance, *H.only(good).blocks(n), stereo.reduce_rows(residual),
+                                 _variance(residual, settings))
+    there, error = settings.predict_again(first)
+    H, q = linearise(there, innovation.ids, settings)
+    predicted, in_front = settings.camera.project_homogeneous(q)
+    good = good & in_front
+    H = H.only(good)
+    shift = blockwise.times_H(error[:, None], *H.blocks(n)).reshape(-1, 3)[:, stereo.FOUR_FROM_THREE]
+    return there, error, H, (innovation.measured - predicted)[good] - shift, good
 
 
 def update(prior: Belief, ids: np.ndarray, pixels: np.ndarray, settings: UpdateSettings) -> tuple[Belief, Innovation]:
@@ -115,7 +148,10 @@ def update(prior: Belief, ids: np.ndarray, pixels: np.ndarray, settings: UpdateS
         return prior, NO_INNOVATION
     innovation, H = compute_innovation(prior, ids, pixels, settings)
     good = innovation.accepted
-    return apply_update(prior, H.only(good), innovation.residual[good], settings), innovation
+    if settings.predict_again is None or not good.any():
+        return apply_update(prior, H.only(good), innovation.residual[good], settings), innovation
+    there, error, H, residual, good = relinearise(prior, H, innovation, settings)
+    return apply_update(there, H, residual, settings, error), replace(innovation, accepted=good)
 
 
 def marginalise(belief: Belief, keep: np.ndarray) -> Belief:
@@ -247,16 +283,18 @@ def run(drive: Drive, noise: Noise, error_state: ErrorState | None = None, *,
         raise ValueError(f"min_disparity must be >= 0 px, got {min_disparity!r}")
     error_state = error_state or RightPerturbation()
     model = motion_model(drive, noise, error_state)
-    settings = UpdateSettings(drive.camera, noise, model.error_state, kalman.gate_threshold(gate), min_disparity)
+    settings = UpdateSettings(drive.camera, noise, error_state, kalman.gate_threshold(gate), min_disparity,
+                              retract_motion=model.retract_motion)
     posterior = after.posterior if after else model.start(world_T_imu)
     # Matrices of a few hundred rows: the threads of one product would wait for each other longer than they work.
     blas = ThreadpoolController()
     for k in range(after.k + 1 if after else 0, drive.n_frames):
         with blas.limit(limits=1, user_api="blas"):
-            before = model.predict(posterior, k - 1) if k else posterior
             ids, pixels = drive.observed(k)
-            keep = retire(before, ids)
-            prior, posterior, innovation = process_frame(marginalise(before, keep), ids, pixels, settings)
+            before, kept = posterior, marginalise(posterior, retire(posterior, ids))
+            prior = model.predict(kept, k - 1) if k else kept
+            settings = replace(settings, predict_again=model.second_prediction(kept, k - 1) if k else None)
+            prior, posterior, innovation = process_frame(prior, ids, pixels, settings)
             posterior = associate(posterior, k)
         born = posterior.ids[~contains(before.ids, posterior.ids)]
         retired = before.ids[~contains(posterior.ids, before.ids)]

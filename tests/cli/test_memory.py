@@ -8,6 +8,7 @@ from memory import peak
 
 from vislam_edu import simulate, smoother, window_slam
 from vislam_edu.noise import Noise
+from vislam_edu.studies import runs
 
 NOISE = Noise()
 
@@ -32,6 +33,13 @@ def test_forward_memory_is_that_of_the_window_however_long_the_drive(drive):
     quarter, whole = peak(lambda: forward(drive.slice(0, 100))), peak(lambda: forward(drive))
     per_frame = 8 * 300  # bytes: the motion model works out all increments (4, 4) and Jacobians (6, 6) at once
     assert whole < 20 * window + per_frame * drive.n_frames
+    assert whole - quarter < per_frame * (drive.n_frames - 100)
+
+
+def test_a_record_keeps_a_few_numbers_of_a_frame_and_no_covariance_of_its_window(drive):
+    per_frame = 8 * (300 + 10 * drive.visible.max())  # bytes: six numbers of a measurement, twice while they are joined
+    quarter, whole = (peak(lambda part=part: runs.record(window_slam.run(part, NOISE)))
+                      for part in (drive.slice(0, 100), drive))
     assert whole - quarter < per_frame * (drive.n_frames - 100)
 
 

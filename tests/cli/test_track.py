@@ -1,5 +1,8 @@
 """`track`: folders of images and the course's lists of images, to a recording that loads."""
 
+import sys
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from PIL import Image
@@ -53,6 +56,79 @@ def test_kitti_folder(kitti, street):
     assert not (kitti / "drive.tracking.npz").exists()
 
 
+def renamed(folder, sides, inner=""):
+    """The images of `kitti` in two other folders."""
+    for side, name in enumerate(sides):
+        (folder / name).mkdir(parents=True)
+        (folder / f"image_{side}").rename(folder / name / inner)
+
+
+def test_kitti_raw_with_dates_and_colour_cameras(kitti, street):
+    renamed(kitti, ("image_02", "image_03"), "data")
+    dates = np.datetime64("2011-09-30T14:33:20", "ns") + (1e9 * street.drive.times).astype("timedelta64[ns]")
+    (kitti / "image_02" / "timestamps.txt").write_text("\n".join(str(date).replace("T", " ") for date in dates))
+    (kitti / "times.txt").unlink()
+    np.savetxt(kitti / "imu.txt", np.column_stack([dates.astype(int) / 1e9, street.drive.twists]))
+    P2, P3 = np.loadtxt(kitti / "calib.txt")
+    rows = {"calib_time": "09-Jan-2012 13:57:47", "P_rect_00": "1 " * 12, "P_rect_01": "1 " * 12,
+            "P_rect_02": " ".join(map(str, P2)), "P_rect_03": " ".join(map(str, P3))}
+    (kitti / "calib.txt").write_text("".join(f"{key}: {numbers}\n" for key, numbers in rows.items()))
+    assert cli.main(command(kitti)) == 0
+    drive = load(kitti / "drive.npz")
+    assert drive.camera.baseline == pytest.approx(0.54)
+    assert drive.times == pytest.approx(street.drive.times + 1317393200, abs=1e-6)
+
+
+def euroc(folder, drive):
+    """EuRoC's layout from the images of `kitti`: names of ns, two yaml files, body frame = left camera's."""
+    renamed(folder, ("mav0/cam0", "mav0/cam1"), "data")
+    f, cu, cv = drive.camera.K[0, 0], *drive.camera.K[:2, 2]
+    for side, x in ((0, 0.0), (1, drive.camera.baseline)):
+        for k, path in enumerate(sorted((folder / f"mav0/cam{side}/data").iterdir())):
+            path.rename(path.with_name(f"{10**18 + round(1e9 * drive.times[k])}.png"))
+        T = np.eye(4)
+        T[0, 3] = x
+        (folder / f"mav0/cam{side}/sensor.yaml").write_text(
+            f"T_BS:\n  cols: 4\n  data: {T.ravel().tolist()}\nintrinsics: [{f}, {f}, {cu}, {cv}]\n"
+            "distortion_model: radial-tangential\ndistortion_coefficients: [0.0, 0.0, 0.0, 0.0]\n")
+    rows = np.column_stack([10**18 + 1e9 * drive.times, drive.twists])
+    np.savetxt(folder / "imu.txt", rows, delimiter=",")
+
+
+def test_euroc_folder(kitti, street, capsys):
+    euroc(kitti, street.drive)
+    yaml = [str(kitti / f"mav0/cam{side}/sensor.yaml") for side in (0, 1)]
+    words = command(kitti)
+    at = words.index("--calibration") + 1
+    assert cli.main([*words[:at], *yaml, *words[at + 1:]]) == 0
+    drive = load(kitti / "drive.npz")
+    assert drive.visible.min() > 15
+    assert drive.camera.baseline == pytest.approx(0.54)
+    assert drive.twists == pytest.approx(street.drive.twists)
+    assert cli.main([*words[:at], yaml[0], *words[at + 1:]]) == cli.BAD_INPUT
+    assert "the yaml of one camera" in capsys.readouterr().err
+
+
+def test_videos_need_an_optional_reader(kitti, pairs, monkeypatch, capsys):
+    videos = [kitti / "a_l.mp4", kitti / "a_r.mp4"]
+    for path in videos:
+        path.touch()
+    monkeypatch.setitem(sys.modules, "imageio", None)
+    assert cli.main(command(kitti, *videos)) == cli.BAD_INPUT
+    assert "pip install 'imageio[pyav]'" in capsys.readouterr().err
+
+    def imopen(path, mode, plugin):
+        side = videos.index(path)
+        return SimpleNamespace(properties=lambda: SimpleNamespace(shape=(N, 160, 400, 3)),
+                               read=lambda index: np.stack([pairs[index][side]] * 3, axis=-1))
+
+    reader = SimpleNamespace(imopen=imopen)
+    monkeypatch.setitem(sys.modules, "imageio", SimpleNamespace(v3=reader))
+    monkeypatch.setitem(sys.modules, "imageio.v3", reader)
+    assert cli.main(command(kitti, *videos)) == 0
+    assert load(kitti / "drive.npz").visible.min() > 15
+
+
 def test_interrupted_and_resumed_is_the_same(kitti, monkeypatch):
     from vislam_edu import tracking
     from vislam_edu.cli import track
@@ -99,6 +175,8 @@ def test_the_courses_lists_of_images(street, pairs, tmp_path):
     (lambda folder: (folder / "image_1" / "000002.png").write_bytes(b"no image"), "000002.png"),
     (lambda folder: (folder / "calib.txt").write_text("1 2 3\n"), "calib.txt"),
     (lambda folder: (folder / "imu.txt").write_text("0 1 2 3\n"), "7"),
+    (lambda folder: (folder / "imu.txt").write_text("0,0,0,0,9.7,0,0.5\n"), "holds gyro and accelerometer"),
+    (lambda folder: (folder / "image_1").rename(folder / "other"), "expected a folder with image_0 and image_1"),
 ])
 def test_what_is_wrong_is_said_in_a_line(kitti, capsys, break_it, said):
     break_it(kitti)

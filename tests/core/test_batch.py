@@ -61,11 +61,11 @@ def test_twists_of_a_path():
 def test_derivatives_of_the_motion(walk_sigma):
     problem = batch.Problem(small(), Noise(), walk_sigma, prior_world_T_imu=se3.exp(np.full(6, 0.05)))
     estimate = somewhere(problem)
-    _, J, J_imu = batch.motion_residuals(problem, estimate)
+    _, J, J_imu = problem.motion_residuals(estimate)
     T, n = problem.drive.n_frames, 3 * problem.drive.n_landmarks
 
     def at(delta):
-        return batch.motion_residuals(problem, plainly_moved(estimate, np.insert(delta, 6 * T, np.zeros(n))))[0]
+        return problem.motion_residuals(plainly_moved(estimate, np.insert(delta, 6 * T, np.zeros(n))))[0]
 
     numeric = central_difference(at, 6 * T + 4)
     np.testing.assert_allclose(np.hstack([J.toarray(), J_imu]), numeric, rtol=1e-6, atol=1e-6)

@@ -289,7 +289,7 @@ def test_a_track_that_comes_back_is_named():
 def test_an_observation_with_some_numbers_missing_is_named(monkeypatch, missing, chunk):
     monkeypatch.setattr("vislam_edu.recordings.features._CHUNK", chunk)
     features = put(fields([(0, 5)] * 3, 6)["features"], ([2, 3], 2, 4), missing)
-    with pytest.raises(DriveError, match=re.escape("features: landmark 2, frame 4 is [")):
+    with pytest.raises(DriveError, match=re.escape("features: landmark 2, frame 4: only some")):
         drive_from_features(GOOD.times, GOOD.twists, features, CAMERA)
 
 

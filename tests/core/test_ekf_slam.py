@@ -129,7 +129,7 @@ def test_the_belief_cannot_be_written_to(belief):
 def test_steps_say_what_their_docstring_promises(name):
     drive = simulate.street_loop(seed=2, frames=12, visible=8)
     runs = {"mapping": lambda: mapping.run(drive, NOISE, drive.true_world_T_imu),
-            "mapping as the report": lambda: mapping.run(drive, NOISE, drive.true_world_T_imu, mapping.as_report),
+            "mapping as the report": lambda: mapping.run(drive, NOISE, drive.true_world_T_imu, mapping.report_prior),
             "odometry": lambda: odometry.localize(drive, NOISE, drive.true_landmarks),
             "ekf_slam": lambda: ekf_slam.run(drive, NOISE),
             "window_slam": lambda: window_slam.run(drive, NOISE)}

@@ -45,7 +45,7 @@ def plain_map(drive, poses, threshold, as_report):
         yield dict(landmarks), nis
 
 
-@pytest.mark.parametrize(("initialise", "as_report"), [(mapping.triangulated, False), (mapping.as_report, True)])
+@pytest.mark.parametrize(("initialise", "as_report"), [(mapping.triangulated, False), (mapping.report_prior, True)])
 def test_mapping_agrees_with_plain_loops(drive, initialise, as_report):
     poses, rejected = drive.true_world_T_imu, 0
     plain = plain_map(drive, poses, kalman.gate_threshold(GATE), as_report)

@@ -8,7 +8,7 @@ import pytest
 from numerical import central_difference
 from scipy.spatial.transform import Rotation
 
-from vislam_edu import imu, se3
+from vislam_edu import imu, se3, simulate
 
 EUROC = Path(__file__).resolve().parents[3] / "shared" / "data" / "euroc_v101" / "imu_and_truth.npz"
 
@@ -178,3 +178,17 @@ def test_real_samples_with_true_biases():
     metres, degrees = np.median(errors, axis=0)
     assert metres < 0.03
     assert degrees < 0.15
+
+
+def test_gtsam_joins_the_same_samples_to_the_same_motion(monkeypatch):
+    """Apart from where in a step the force acts: a sixth of a standard deviation over two seconds."""
+    pytest.importorskip("gtsam", reason="the outside reference is an extra: pip install vislam_edu[gtsam]")
+    monkeypatch.syspath_prepend(Path(__file__).resolve().parents[2] / "benchmarks")
+    import gtsam_imu
+
+    drive, _, bias = simulate.inertial_loop(0, frames=60)
+    noise = imu.ImuNoise(gyro_walk=0.0, accelerometer_walk=0.0)
+    found = gtsam_imu.compare(drive.imu.between(drive.times[30], drive.times[50]), *np.split(bias[30], 2), noise)
+    assert found["difference_sigma"] < 0.5
+    assert found["covariance"] < 0.05
+    assert found["corrected_m"] < 0.02

@@ -7,9 +7,10 @@ from numerical import central_difference
 from vislam_edu import belief as belief_module
 from vislam_edu import inverse_depth, metrics, motion, robust, se3, simulate, smoother, stereo, window_slam
 from vislam_edu.belief import Belief
+from vislam_edu.course.ch07 import observability
 from vislam_edu.error_state import InverseDepth, RightInvariant
 from vislam_edu.noise import Noise
-from vislam_edu.studies import consistency, observability, pipeline
+from vislam_edu.studies import consistency, pipeline
 from vislam_edu.widgets import Explorer
 
 ERROR = InverseDepth()

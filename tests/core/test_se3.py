@@ -187,12 +187,10 @@ def test_left_jacobian_has_barfoots_block(xi):
     """The off-diagonal block as Barfoot prints it (7.86b); below 0.1 rad its terms cancel too many digits."""
     v, phi = se3.so3_hat(xi[:3]), se3.so3_hat(xi[3:])
     t = np.linalg.norm(xi[3:])
-    Q = (
-        v / 2
-        + (t - np.sin(t)) / t**3 * (phi @ v + v @ phi + phi @ v @ phi)
-        + (t**2 + 2 * np.cos(t) - 2) / (2 * t**4) * (phi @ phi @ v + v @ phi @ phi - 3 * phi @ v @ phi)
-        + (2 * t - 3 * np.sin(t) + t * np.cos(t)) / (2 * t**5) * (phi @ v @ phi @ phi + phi @ phi @ v @ phi)
-    )
+    Q = (v / 2
+         + (t - np.sin(t)) / t**3 * (phi @ v + v @ phi + phi @ v @ phi)
+         + (t**2 + 2 * np.cos(t) - 2) / (2 * t**4) * (phi @ phi @ v + v @ phi @ phi - 3 * phi @ v @ phi)
+         + (2 * t - 3 * np.sin(t) + t * np.cos(t)) / (2 * t**5) * (phi @ v @ phi @ phi + phi @ phi @ v @ phi))
     assert_allclose(se3.left_jacobian(xi)[:3, 3:], Q, rtol=0, atol=1e-11)
 
 
@@ -214,12 +212,10 @@ def test_jacobians_against_central_differences(xi):
     right = central_difference(lambda d: se3.log(se3.inverse(T) @ se3.exp(xi + d)), 6)
     so3_left = central_difference(lambda d: se3.so3_log(se3.so3_exp(xi[3:] + d) @ R.T), 3)
     so3_right = central_difference(lambda d: se3.so3_log(R.T @ se3.so3_exp(xi[3:] + d)), 3)
-    for analytic, numerical in (
-        (se3.left_jacobian(xi), left),
-        (se3.right_jacobian(xi), right),
-        (se3.so3_left_jacobian(xi[3:]), so3_left),
-        (se3.so3_right_jacobian(xi[3:]), so3_right),
-    ):
+    for analytic, numerical in ((se3.left_jacobian(xi), left),
+                                (se3.right_jacobian(xi), right),
+                                (se3.so3_left_jacobian(xi[3:]), so3_left),
+                                (se3.so3_right_jacobian(xi[3:]), so3_right)):
         assert_allclose(analytic, numerical, rtol=0, atol=1e-9 * max(1.0, np.abs(numerical).max()))
 
 
@@ -230,22 +226,18 @@ def test_inverse_jacobians_against_central_differences(xi):
     left = central_difference(lambda d: se3.log(se3.exp(d) @ T), 6)
     right = central_difference(lambda d: se3.log(T @ se3.exp(d)), 6)
     so3_left = central_difference(lambda d: se3.so3_log(se3.so3_exp(d) @ R), 3)
-    for analytic, numerical in (
-        (se3.left_jacobian_inverse(xi), left),
-        (se3.right_jacobian_inverse(xi), right),
-        (se3.so3_left_jacobian_inverse(xi[3:]), so3_left),
-    ):
+    for analytic, numerical in ((se3.left_jacobian_inverse(xi), left),
+                                (se3.right_jacobian_inverse(xi), right),
+                                (se3.so3_left_jacobian_inverse(xi[3:]), so3_left)):
         assert_allclose(analytic, numerical, rtol=0, atol=1e-9 * max(1.0, np.abs(numerical).max()))
 
 
 @given(twists())
 def test_inverse_jacobians_invert(xi):
     phi = xi[..., 3:]
-    for J, J_inverse in (
-        (se3.left_jacobian(xi), se3.left_jacobian_inverse(xi)),
-        (se3.right_jacobian(xi), se3.right_jacobian_inverse(xi)),
-        (se3.so3_left_jacobian(phi), se3.so3_left_jacobian_inverse(phi)),
-    ):
+    for J, J_inverse in ((se3.left_jacobian(xi), se3.left_jacobian_inverse(xi)),
+                         (se3.right_jacobian(xi), se3.right_jacobian_inverse(xi)),
+                         (se3.so3_left_jacobian(phi), se3.so3_left_jacobian_inverse(phi))):
         assert_allclose(J @ J_inverse, np.broadcast_to(np.eye(J.shape[-1]), J.shape), rtol=0, atol=EXACT * 10)
 
 
@@ -261,15 +253,11 @@ def test_jacobians_of_the_two_sides(xi):
 
 # Shapes
 
-OF_A_VECTOR = [
-    (se3.so3_hat, 3), (se3.so3_exp, 3), (se3.so3_left_jacobian, 3), (se3.so3_left_jacobian_inverse, 3),
-    (se3.so3_right_jacobian, 3), (se3.odot, 3), (se3.hat, 6),
-    (se3.curly_hat, 6), (se3.exp, 6), (se3.left_jacobian, 6), (se3.left_jacobian_inverse, 6),
-    (se3.right_jacobian, 6), (se3.right_jacobian_inverse, 6),
-]  # fmt: skip
-OF_A_MATRIX = [
-    (se3.so3_vee, 3), (se3.so3_log, 3), (se3.vee, 4), (se3.log, 4), (se3.inverse, 4), (se3.adjoint, 4),
-]  # fmt: skip
+OF_A_VECTOR = [(se3.so3_hat, 3), (se3.so3_exp, 3), (se3.so3_left_jacobian, 3), (se3.so3_left_jacobian_inverse, 3),
+               (se3.so3_right_jacobian, 3), (se3.odot, 3), (se3.hat, 6),
+               (se3.curly_hat, 6), (se3.exp, 6), (se3.left_jacobian, 6), (se3.left_jacobian_inverse, 6),
+               (se3.right_jacobian, 6), (se3.right_jacobian_inverse, 6)]
+OF_A_MATRIX = [(se3.so3_vee, 3), (se3.so3_log, 3), (se3.vee, 4), (se3.log, 4), (se3.inverse, 4), (se3.adjoint, 4)]
 
 
 def name(value):

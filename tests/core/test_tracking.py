@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 from PIL import Image
 from scipy import ndimage
+from scipy.optimize import least_squares
 
-from vislam_edu import lens, tracking
+from vislam_edu import lens, se3, tracking
 from vislam_edu.stereo import StereoCamera
 
 SHARED = Path(__file__).resolve().parents[3] / "shared" / "data"
@@ -88,7 +89,8 @@ def rig(turn=0.0):
     K = np.array([[200.0, 0, 120], [0, 200, 80], [0, 0, 1]])
     c, s = np.cos(turn), np.sin(turn)
     left_T_right = np.array([[c, -s, 0, 0.3], [s, c, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
-    return lens.rectified(K, K, left_T_right, np.eye(4), (-0.2, 0.05, 0.001, -0.002), (-0.1, 0.02, 0.0, 0.001))
+    K_right = K * [[1.02], [1.01], [1]]
+    return lens.rectified(K, K_right, left_T_right, np.eye(4), (-0.2, 0.05, 0.001, -0.002), (-0.1, 0.02, 0.0, 0.001))
 
 
 def test_rectifying_known_points():
@@ -124,23 +126,33 @@ def test_tracks_of_a_flat_wall_at_a_known_depth(texture):
 
 
 def test_a_real_driving_sequence_agrees_with_its_poses():
+    """Distances to epipolar lines: the poses, off by 0.03 degrees, make 0.27 px of the median; turned to fit, 0.07."""
     folder = needs("kitti_left")
     poses = np.loadtxt(folder / "poses.txt").reshape(-1, 3, 4)
     K_inverse = np.linalg.inv(np.loadtxt(folder / "calib.txt")[0].reshape(3, 4)[:, :3])
     images = [tracking.pyramid(grey(path)) for path in sorted(folder.glob("*.png"))]
-    errors = []
+    as_given, turned, turns = [], [], []
     for k in range(0, len(images) - 1, 2):
         points = tracking.corners(images[k], 200)
         found, ok = tracking.flow(images[k], images[k + 1], points)
+        assert ok.mean() > 0.25
         R = poses[k + 1, :, :3].T @ poses[k, :, :3]
         t = poses[k + 1, :, :3].T @ (poses[k, :, 3] - poses[k + 1, :, 3])
-        rays = np.c_[points, np.ones(len(points))][ok] @ K_inverse.T
-        lines = np.cross(t, rays @ R.T) @ K_inverse
-        errors.append(np.abs(np.sum(lines * np.c_[found, np.ones(len(found))][ok], axis=1))
-                      / np.hypot(lines[:, 0], lines[:, 1]))
-        assert ok.mean() > 0.25
-    assert np.median(np.concatenate(errors)) < 0.3
-    assert np.percentile(np.concatenate(errors), 90) < 1.1
+        before, after = (np.c_[one, np.ones(len(one))][ok] for one in (points, found))
+
+        def distances(phi, turn=R, t=t, before=before, after=after):
+            lines = np.cross(t, before @ (se3.so3_exp(phi) @ turn @ K_inverse).T) @ K_inverse
+            return np.sum(lines * after, axis=1) / np.hypot(lines[:, 0], lines[:, 1])
+
+        fit = least_squares(distances, np.zeros(3), loss="soft_l1", f_scale=0.1)
+        as_given.extend(np.abs(distances(np.zeros(3))))
+        turned.extend(np.abs(distances(fit.x)))
+        turns.append(np.degrees(np.linalg.norm(fit.x)))
+    assert np.percentile(as_given, 50) < 0.3
+    assert np.percentile(as_given, 90) < 1.1
+    assert np.percentile(turned, 50) < 0.1
+    assert np.percentile(turned, 90) < 0.4
+    assert max(turns) < 0.1
 
 
 def euroc_camera(path):

@@ -15,7 +15,7 @@ from vislam_edu.course.ch13 import capstone
 from vislam_edu.course.ch13 import exercises as chapter13
 from vislam_edu.course.checks.verdict import NOT_WRITTEN, RIGHT, WRONG, judge
 from vislam_edu.course.exercises import EXERCISES
-from vislam_edu.course.grading import grading, report
+from vislam_edu.course.grading import borrowing, grading, report, submission
 from vislam_edu.noise import Noise
 from vislam_edu.widgets import Explorer
 
@@ -57,7 +57,7 @@ def filled(**changed):
 
 def test_a_capstone_filled_from_ekf_slam_is_right_in_every_stage_and_scores_like_the_package(capsys):
     pieces = filled()
-    assert capstone.localise(pieces) is None
+    assert capstone.first_wrong_stage(pieces) is None
     score = capstone.score(pieces["filter_run"], student=7)
     assert score.status == RIGHT
     assert capsys.readouterr().out.count("like the agreed filter") == len(score.drives) == 4
@@ -80,7 +80,7 @@ MISTAKES = [(name, mistake.name) for name in capstone.STAGES for mistake in few(
 @pytest.mark.parametrize(("stage", "mistake"), MISTAKES)
 def test_a_mistake_is_localised_to_the_stage_it_was_put_into(stage, mistake):
     [wrong] = [m.function for m in EXERCISES[stage].mistakes if m.name == mistake]
-    verdict = capstone.localise(filled(**{stage: wrong}))
+    verdict = capstone.first_wrong_stage(filled(**{stage: wrong}))
     assert (verdict.exercise, verdict.status, verdict.mistake) == (stage, WRONG, mistake)
 
 
@@ -203,57 +203,51 @@ def test_the_explorer_steps_a_students_filter():
 
 # --- for teachers ---------------------------------------------------------------------------------------------
 
-def test_scores_go_to_the_teachers_report(tmp_path, monkeypatch, capsys):
-    from vislam_edu.course.checks.check import VERDICTS
+def followed(source, scope):
+    """What the grader is sent of a cell."""
+    return [json.loads(json.dumps(submission._followed(name, call, scope))) for name, call in submission.calls(source)]
 
-    record = tmp_path / "verdicts.jsonl"
-    monkeypatch.setenv(VERDICTS, str(record))
+
+def test_scores_go_to_the_teachers_report(tmp_path, monkeypatch):
     monkeypatch.setattr(capstone, "drives", lambda student: [capstone.unseen(student).slice(0, 30)])
-    capstone.score(filled()["filter_run"], student=5)
-    results = grading._verdicts(record)
-    submission = grading.Submission("a.ipynb", list(results.values()))
-    report.write([submission], tmp_path)
+    monkeypatch.setattr(borrowing, "in_notebook", lambda function: True)
+    results, _ = grading._judged(followed("capstone.score(run, student=5)", {"run": filled()["filter_run"]}), [])
+    handed = grading.Submission("a.ipynb", list(results.values()))
+    report.write([handed], tmp_path)
     [row] = list(csv.DictReader((tmp_path / "capstone.csv").open()))
     assert (row["notebook"], row["student"], row["drive"]) == ("a.ipynb", "5", "unseen 1")
     content = json.loads((tmp_path / "exercises.json").read_text())
     assert content[0]["exercises"][0]["score"]["drives"][0]["mine_ate"] == pytest.approx(float(row["mine_ate"]))
+    feedback = (tmp_path / "feedback" / "a.md").read_text()
+    assert f"\n| unseen 1 | {float(row['mine_ate']):.2f} | {float(row['agreed_ate']):.2f} | " in feedback
 
 
-def test_nothing_is_right_in_the_notebook_as_it_is_shipped(tmp_path, monkeypatch, capsys):
-    from vislam_edu.course.checks.check import VERDICTS
-
-    record = tmp_path / "verdicts.jsonl"
-    monkeypatch.setenv(VERDICTS, str(record))
+def test_nothing_is_right_in_the_notebook_as_it_is_shipped(monkeypatch, capsys):
     notebook = json.loads((ROOT / "notebooks" / "13_your_own_filter.ipynb").read_text(encoding="utf-8"))
     sources = ["".join(cell["source"]) for cell in notebook["cells"] if cell["cell_type"] == "code"]
     cells = [source for source in sources if source.startswith(("import", "from", "def ")) or "check." in source
              or "capstone.score" in source]
-    scope = {}
+    scope, entries = {}, []
     for source in cells:
         with monkeypatch.context() as patch:
-            if "capstone.score" in source:
-                patch.setattr(capstone, "drives", lambda student: [capstone.unseen(student).slice(0, 10)])
+            patch.setattr(capstone, "drives", lambda student: [capstone.unseen(student).slice(0, 10)])
             exec(source, scope)
-    results = grading._verdicts(record)
+            entries += followed(source, scope)
+    results, _ = grading._judged(entries, sources)
     assert set(capstone.STAGES) <= set(results)
     assert {result.status for result in results.values()} == {NOT_WRITTEN}
 
 
-def test_a_score_never_replaces_the_verdict_of_the_check(tmp_path, monkeypatch, capsys):
-    from vislam_edu.course.checks.check import VERDICTS
-    from vislam_edu.course.exercises import check
-
+def test_a_score_never_replaces_the_verdict_of_the_check(monkeypatch):
     def stands_still(drive, noise):
         for _ in range(drive.n_frames):
             yield np.eye(4), np.empty((0, 3)), np.empty(0, int), noise.initial_pose_covariance
 
-    record = tmp_path / "verdicts.jsonl"
-    monkeypatch.setenv(VERDICTS, str(record))
-    check.filter_run(stands_still)
     monkeypatch.setattr(capstone, "drives", lambda student: [capstone.unseen(student).slice(0, 10)])
-    capstone.score(filled()["filter_run"])
-    capstone.score(EXERCISES["filter_run"].reference)
-    result = grading._verdicts(record)["filter_run"]
+    monkeypatch.setattr(borrowing, "in_notebook", lambda function: function is not capstone.agreed_run)
+    entries = followed("capstone.score(right)\ncapstone.score(capstone.agreed_run)\ncheck.filter_run(wrong)", {
+        "wrong": stands_still, "right": filled()["filter_run"], "capstone": capstone})
+    result = grading._judged(entries, [])[0]["filter_run"]
     assert result.status == WRONG
     assert len(result.score["drives"]) == 1
 

@@ -190,7 +190,10 @@ def test_an_examination_from_hand_out_to_grade(tmp_path, capsys):
     assert float(rows[0]["total"]) >= 7
     assert rows[1]["problem"] == "not answered"
     assert "not a case file" in rows[2]["problem"]
-    assert json.loads((tmp_path / "clinic.json").read_text())[0]["truth"] == [[FAULTS[name].piece, FAULTS[name].kind]]
+    told = json.loads((tmp_path / "clinic.json").read_text())[0]
+    assert told["truth"] == [[FAULTS[name].piece, FAULTS[name].kind]]
+    build = patients.draw("ann", 1, 1, secret).build
+    assert told["diffs"] == [seam.diff for seam in vars(build).values() if hasattr(seam, "diff")]
 
 
 @pytest.mark.parametrize("content", [

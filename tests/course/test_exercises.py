@@ -9,7 +9,6 @@ from functools import cache
 
 import numpy as np
 import pytest
-from exercise_answers import ANSWERS
 from whole import WHOLE, few
 
 from vislam_edu import se3
@@ -53,14 +52,6 @@ def test_the_reference_is_right_and_quick(name):
     assert time.process_time() - start < 1
 
 
-@pytest.mark.parametrize("name", EXERCISES)
-def test_answers_written_otherwise_are_right(name):
-    assert len(ANSWERS[name]) >= 2
-    for answer in ANSWERS[name]:
-        verdict = judge(EXERCISES[name], answer)
-        assert verdict.status == RIGHT, verdict.text
-
-
 @pytest.mark.parametrize("name", ["so3_exp", "se3_exp", "adjoint", "project", "pose_jacobian", "kalman_update"])
 def test_float32_is_right_with_a_remark(name):
     def in_float32(*arguments):
@@ -79,7 +70,7 @@ def test_float32_is_right_with_a_remark(name):
 @pytest.mark.parametrize(("name", "i"), PIECES)
 def test_every_piece_is_recognised_with_its_own_hint(name, i, monkeypatch):
     if i >= 2 and not WHOLE:  # without the search for other words, which takes most of the time
-        monkeypatch.setattr(explain, "LIMIT", 0.0)
+        monkeypatch.setattr(explain, "CANDIDATES", 0)
     mistake = EXERCISES[name].mistakes[i]
     verdict, seconds = judged(name, i)
     assert seconds < 2
@@ -282,7 +273,7 @@ def test_warnings_stay_silent(recwarn):
 @pytest.mark.parametrize(("answer", "words"), [
     (lambda K, uv: np.linalg.solve(K, np.append(uv, 1))[:, None],
      "has shape (3, 1); it should be (3,). The numbers are right: a column"),
-    (lambda K, uv: np.ones((3, 1)) * np.ones(3), "has shape (3, 3); it should be (3,). Has a column"),
+    (lambda K, uv: uv[0] * np.ones((3, 1)) * np.ones(3), "has shape (3, 3); it should be (3,). Has a column"),
     (lambda K, uv: "bearing", "must be an array of real numbers"),
     (lambda K, uv: [[1, 2], [3]], "rows have different lengths"),
     (lambda K, uv: 1j * np.ones(3), "must be an array of real numbers"),
@@ -338,7 +329,8 @@ def test_a_check_prints_and_remembers():
     assert text.startswith("so3_hat: wrong, on input 1 of 7 (random)\n  omega = [")
     assert "Most likely: signs transposed. This is the transpose, -omega^: it gives cross(b, a)." in text
     assert "The same numbers come out with the sign of" in " ".join(text.split())
-    assert text.endswith("To try this input: so3_hat(*check.so3_hat.failing)\n")
+    assert text.endswith("To try this input: so3_hat(*check.so3_hat.failing)\n"
+                         "A second failure, or hint('so3_hat'), shows where to look.\n")
     assert first.status == WRONG
     assert check.so3_hat.last.mistake == "signs transposed"
     np.testing.assert_array_equal(check.so3_hat.failing[0], entries)
@@ -373,7 +365,7 @@ def test_hints_are_graded_and_the_solution_is_the_packages(name):
     exercise = EXERCISES[name]
     assert len(exercise.hints) >= 2
     told = [" ".join(printed(hint, name, level).split()) for level in (1, 2)]  # long lines are broken
-    assert told[0] == f"{name}, hint 1 of {len(exercise.hints)}: {exercise.hints[0]}"
+    assert told[0].startswith(f"{name}, hint 1 of {len(exercise.hints)}: {exercise.hints[0]}")
     assert exercise.hints[1] in told[1]
     with pytest.raises(ValueError, match=f"has hints 1 to {len(exercise.hints)}"):
         hint(name, len(exercise.hints) + 1)

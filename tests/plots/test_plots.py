@@ -434,7 +434,7 @@ def test_titles_tell_the_errors(result):
 
 def test_heading_band_is_the_claim_and_the_line_the_error(drive):
     trajectory = odometry.dead_reckon(drive, NOISE)
-    axes, = plots.heading_band(drive, trajectory).axes
+    axes, = chapter01.heading_band(drive, trajectory).axes
     band = np.degrees(1.959964 * plots.heading_sigma(trajectory))
     outline = axes.collections[0].get_paths()[0].vertices
     assert outline[:, 1].max() == pytest.approx(band.max(), rel=1e-6)
@@ -443,7 +443,7 @@ def test_heading_band_is_the_claim_and_the_line_the_error(drive):
     np.testing.assert_allclose(np.radians(error), expected, rtol=1e-12)
     assert "°" in axes.get_ylabel()
     blind = drive.replace(truth_world_T_cam=None, truth_landmarks=None)
-    assert not lines(plots.heading_band(blind, trajectory).axes[0])
+    assert not lines(chapter01.heading_band(blind, trajectory).axes[0])
 
 
 # --- chapters 00 to 05 ------------------------------------------------------------------------------------

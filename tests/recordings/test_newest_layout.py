@@ -118,23 +118,6 @@ def test_swapped_cameras_are_refused(tmp_path):
             recordings.load(path)
 
 
-def test_a_rectification_is_exact_for_any_two_cameras():
-    """Points seen by both as mounted, and by the rectified pair: the homographies connect the two."""
-    rng = np.random.default_rng(4)
-    K_left = np.array([[377.2, 0, 326.4], [0, 377.5, 239.7], [0, 0, 1]])
-    K_right = np.array([[384.8, 0, 327.1], [0, 384.4, 236.4], [0, 0, 1]])
-    left_T_right = se3.pose(se3.so3_exp([0.03, -0.02, 0.015]), np.array([0.095, 0.002, 0.011]))
-    left_R, homographies = extrinsics.rectification(K_left, K_right, left_T_right)
-    points = rng.uniform([-3, -2, 2], [3, 2, 20], (50, 3))
-    raw, straight = [], []
-    for K, T in ((K_left, np.eye(4)), (K_right, left_T_right)):
-        for q, out in ((se3.transform(se3.inverse(T), points) @ K.T, raw), ((points - T[:3, 3]) @ left_R @ K_left.T,
-                                                                          straight)):
-            out.append(q[:, :2] / q[:, 2:])
-    assert extrinsics.warped(np.hstack(raw), homographies) == pytest.approx(np.hstack(straight), abs=1e-9)
-    assert straight[0][:, 1] == pytest.approx(straight[1][:, 1], abs=1e-9)
-
-
 def test_a_landmark_that_comes_back_is_another_one(tmp_path):
     longest = int(np.argmax(TRUE.last_seen - TRUE.first_seen))
     first = TRUE.first_seen[longest]
@@ -179,8 +162,8 @@ def test_a_bare_pickle_is_read(tmp_path):
     assert_sees_what_it_should(recordings.load(tmp_path / "a.pkl"))
 
 
-def test_a_pickled_recording_needs_little_more_memory_than_its_dense_array(tmp_path):
-    """One of the course's has (4, 5376, 3755) entries, 646 MB, and has to be read within 0.9 GB."""
+def test_a_pickled_recording_needs_far_less_memory_than_its_dense_array(tmp_path):
+    """One of the course's has (4, 5376, 3755) entries, 646 MB: they are read from the file a piece at a time."""
     n_landmarks, n_frames, life = 2000, 2000, 40
     features = np.full((4, n_landmarks, n_frames), -1.0)
     for i in range(n_landmarks):
@@ -188,7 +171,7 @@ def test_a_pickled_recording_needs_little_more_memory_than_its_dense_array(tmp_p
     path = written(tmp_path / "a.npy", "imu_T_regular", K_RIGHT, TURNED, features=features, v_t=np.zeros((n_frames, 3)),
                    w_t=np.zeros((n_frames, 3)), timestamps=0.03 * np.arange(n_frames))
     del features
-    assert peak(lambda: recordings.load(path, extrinsics="imu_T_regular")) < 1.5 * 32 * n_landmarks * n_frames
+    assert peak(lambda: recordings.load(path, extrinsics="imu_T_regular")) < 32 * n_landmarks * n_frames / 2
 
 
 @pytest.mark.parametrize("scale", [1e3, 1e9])

@@ -4,6 +4,7 @@ import base64
 import dataclasses
 import io
 import json
+import re
 
 import numpy as np
 import pytest
@@ -20,7 +21,8 @@ from vislam_edu.motion import TwistAndBias
 from vislam_edu.noise import Noise
 from vislam_edu.plots import style
 from vislam_edu.widgets import BOTH, Explorer, PathBelief, history, packing
-from vislam_edu.widgets.explorer_still import Run, leave_out_covering
+from vislam_edu.widgets.explorer import MODULE
+from vislam_edu.widgets.explorer_still import leave_out_covering
 
 NOISE = Noise()
 STATES = {"right": RightPerturbation(), "invariant": RightInvariant()}
@@ -53,14 +55,62 @@ def localised(drive):
     return steps, Explorer(steps, drive)
 
 
+class Unpacked:
+    """One run of an explorer as it arrives, its arrays (n, numbers a row) by name; the header has been through JSON."""
+
+    def __init__(self, run, data):
+        self.header = json.loads(json.dumps(run))
+        self.arrays = {}
+        for name in packing.LAYOUT.keys() & self.header.keys() - {"series"}:
+            dtype, at, n = self.header[name]
+            row = packing.LAYOUT[name][1]
+            assert dtype == packing.LAYOUT[name][0]
+            array = np.frombuffer(data, np.dtype(dtype).newbyteorder("<"), n, at)
+            self.arrays[name] = array.reshape(-1, len(row)) if len(row) > 1 else array
+
+    def __getattr__(self, name):
+        return self.arrays[name] if name in self.arrays else self.header[name]
+
+    def of(self, i):
+        """Rows of the landmarks of snapshot i."""
+        return slice(*self.first[i:i + 2])
+
+    def ellipses(self, i):
+        """(n, 2, 2) m^2, covariance of the landmarks of snapshot i on the ground."""
+        return self.block[self.of(i)][:, [0, 1, 1, 2]].reshape(-1, 2, 2)
+
+    def covariance(self, i):
+        """(d, d), the joint covariance of snapshot i."""
+        sizes = 3 * np.diff(self.first) + len(self.rows[1])
+        d, a, b = sizes[i], sizes[:i].sum(), (sizes[:i] * (sizes[:i] + 1) // 2).sum()
+        sigma = self.sigma[a:a + d].astype(float)
+        R = np.zeros((d, d))
+        R[np.triu_indices(d)] = self.correlation[b:b + d * (d + 1) // 2] / packing.ONE
+        return (R + np.triu(R, 1).T) * np.outer(sigma, sigma)
+
+
 def unpacked(explorer):
-    """The runs as they arrive: the header has been through JSON."""
-    header = json.loads(json.dumps(explorer.header))
-    return [Run(run, explorer.data) for run in header["runs"]]
+    return [Unpacked(run, explorer.data) for run in explorer.header["runs"]]
 
 
 def beliefs(steps):
     return [belief for step in steps for belief in (step.prior, step.posterior)]
+
+
+def test_the_front_end_has_the_same_layout():
+    """The tables at the top of explorer.js, and the indices that it reads from rows of measurements and insets."""
+    module = MODULE.read_text(encoding="utf-8")
+    row = dict(re.findall(r"(\w+): (\d+)", re.search(r"const ROW = \{(.*?)\};", module, re.DOTALL)[1]))
+    assert {name: int(n) for name, n in row.items()} == {name: len(row) for name, (_, row) in packing.LAYOUT.items()}
+    types = re.findall(r"(\w\d): ", re.search(r"const ARRAYS = \{(.*?)\};", module)[1])
+    assert {dtype for dtype, _ in packing.LAYOUT.values()} == set(types)
+    assert f"const ONE = {packing.ONE};" in module
+    sight = packing.LAYOUT["sights"][1]
+    fields = {"measured": ["u", "v"], "predicted": ["predicted u", "predicted v"], "S": ["S uu", "S uv", "S vv"],
+              "projected": ["projected u", "projected v"], "pull": ["pull forward", "pull left"]}
+    for name, numbers in fields.items():
+        assert f"{name}: [{', '.join(f'v[{sight.index(number)}]' for number in numbers)}]" in module
+    assert f"nis: v[{sight.index('nis')}], accepted: v[{sight.index('accepted')}]" in module
 
 
 # --- joint filter ---
@@ -141,7 +191,7 @@ def test_pulls_add_up_to_the_correction(runs, drive, name):
 
 def test_sights_hold_the_frames_measurements(runs, explorer):
     run = unpacked(explorer)[0]
-    rows, ids, numbers = run["sight"].reshape(-1, 2), run["sight_ids"], run["sights"].reshape(-1, 13)
+    rows, ids, numbers = run.sight, run.sight_ids, run.sights
     for k in (1, 20, 59):
         innovation = runs["right"][k].innovation
         for i in (2 * k, 2 * k + 1):
@@ -155,7 +205,7 @@ def test_sights_hold_the_frames_measurements(runs, explorer):
 
 
 def test_inset_stands_in_the_axes_of_the_belief_it_came_from(runs, explorer, drive):
-    inset = unpacked(explorer)[0]["inset"].reshape(-1, 14)
+    inset = unpacked(explorer)[0].inset
     step = runs["right"][20]
     prior_T_world = se3.inverse(step.prior.world_T_imu)
     moved, truth = prior_T_world @ step.posterior.world_T_imu, prior_T_world @ drive.true_world_T_imu[20]
@@ -194,7 +244,7 @@ def test_map_history_holds_the_seen_landmarks_and_the_given_poses(drive, mapped)
     np.testing.assert_array_equal(run.ids[run.of(41)], np.flatnonzero(belief.seen))
     np.testing.assert_allclose(run.ellipses(41), belief.covariance[belief.seen][:, :2, :2], rtol=1e-5)
     np.testing.assert_allclose(run.pose[41, :3], drive.true_world_T_imu[20, :3, 3], rtol=1e-6, atol=1e-6)
-    assert "sigma" not in run
+    assert "sigma" not in run.arrays
     assert [one["name"] for one in run.series] == ["NIS / numbers"]
 
 
@@ -248,8 +298,8 @@ def test_iterations_of_a_batch_estimate(drive):
     explorer = Explorer.from_beliefs(["iteration 0", "iteration 1"], states, drive, frames=[19, 19],
                                      series={"cost": [9.0, 2.0]})
     run = unpacked(explorer)[0]
-    np.testing.assert_allclose(run["path"].reshape(2, 20, 2)[1], path[:, :2, 3], rtol=1e-6, atol=1e-6)
-    np.testing.assert_allclose(run["path_block"].reshape(2, 20, 3), [[[4, 0, 4]] * 20, [[1, 0, 1]] * 20], atol=1e-6)
+    np.testing.assert_allclose(run.path.reshape(2, 20, 2)[1], path[:, :2, 3], rtol=1e-6, atol=1e-6)
+    np.testing.assert_allclose(run.path_block.reshape(2, 20, 3), [[[4, 0, 4]] * 20, [[1, 0, 1]] * 20], atol=1e-6)
     assert run.series[0]["name"] == "cost"
     assert "landmark 3 gains most, σ 2 → 1 m" in explorer.caption(1)
     assert repr(explorer) == "Explorer(estimate, 2 iterations)"

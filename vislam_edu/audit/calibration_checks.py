@@ -58,8 +58,7 @@ def row_saddle(drive):
             "row saddle", size, "px at one focal length", chance(p),
             f"v_left - v_right goes with u' v' over the image, by {size:+.2f} +- {error:.2f} px: one camera is yawed "
             "against the other or a lens is decentred; either bends the disparity too, by about as many px times u'^2",
-            None, ADVICE,
-        )  # fmt: skip
+            None, ADVICE)
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,8 +129,7 @@ def split_halves(by_place, at_random):
             f"tracks near the middle of the image see a speed that differs by {100 * by_place.forward:+.1f} % from "
             f"what those further out see (squared distance {by_place.distance2:.0f}, 6 is right; halves at random: "
             f"{at_random.distance2:.1f}): an error that tracks share and noise does not explain",
-            None, ADVICE,
-        )  # fmt: skip
+            None, ADVICE)
 
 
 def facts(drive, by_place, at_random):

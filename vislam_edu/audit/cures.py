@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from .. import se3
 from ..drive import Drive
 from . import track_health
 
@@ -30,6 +31,11 @@ class Cure:
         return self.name + (" (needs the whole drive)" if self.needs_future else "")
 
 
+def end_tracks(name: str, bad: Callable[[Drive], np.ndarray]) -> Cure:
+    """Every track ends before its first bad observation; bad : gives (N,) bool of a drive. name : of the cure."""
+    return Cure(name, False, lambda drive: end_tracks_before(drive, bad(drive)))
+
+
 def end_tracks_at_copies() -> Cure:
     """Every track ends before its first copy (`track_health.copy_steps`); what it says later is stale.
 
@@ -37,26 +43,7 @@ def end_tracks_at_copies() -> Cure:
     step, after one copy by 0.07 m, after two by 0.09 m, with 80, 72 and 32 % of the pairs agreeing. So nothing is
     restarted.
     """
-    return Cure(
-        "tracks ended before their first copy", False,
-        lambda drive: end_tracks_before(drive, track_health.copied(drive)),
-    )  # fmt: skip
-
-
-def end_tracks_at_frozen() -> Cure:
-    """Every track ends before it repeats its pixels exactly while others move."""
-    return Cure(
-        "tracks ended before they froze", False,
-        lambda drive: end_tracks_before(drive, track_health.frozen(drive)),
-    )  # fmt: skip
-
-
-def end_tracks_behind_infinity() -> Cure:
-    """Every track ends before its first disparity that is below zero by more than noise explains."""
-    return Cure(
-        "tracks ended before their first impossible disparity", False,
-        lambda drive: end_tracks_before(drive, track_health.behind_infinity(drive)),
-    )  # fmt: skip
+    return end_tracks("tracks ended before their first copy", track_health.copied)
 
 
 def drop_tracks(drive: Drive, tracks) -> Cure:
@@ -105,56 +92,41 @@ def shift_imu(samples: int, sample: str) -> Cure:
 
 def turn_imu_axes(rotation) -> Cure:
     """Right-multiply `cam_T_imu` by this rotation (3, 3) of whole axes, such as diag(1, -1, -1)."""
-    turn = np.eye(4)
-    turn[:3, :3] = rotation
-    return Cure(
-        f"cam_T_imu right-multiplied by {describe_axes(rotation)}", False,
-        lambda drive: drive.with_extrinsics(drive.camera.cam_T_imu @ turn),
-    )  # fmt: skip
+    turn = se3.pose(rotation, np.zeros(3))
+    return Cure(f"cam_T_imu right-multiplied by {describe_axes(rotation)}", False,
+                lambda drive: drive.with_extrinsics(drive.camera.cam_T_imu @ turn))
 
 
 def rotate_extrinsics(imu_R_imu) -> Cure:
     """Right-multiply the rotation of `cam_T_imu` by a small fitted one (3, 3), the camera staying where it is."""
-
-    def function(drive):
-        imu_T_cam = drive.camera.imu_T_cam
-        cam_T_imu = np.eye(4)
-        cam_T_imu[:3, :3] = drive.camera.cam_T_imu[:3, :3] @ imu_R_imu
-        cam_T_imu[:3, 3] = -cam_T_imu[:3, :3] @ imu_T_cam[:3, 3]
-        return drive.with_extrinsics(cam_T_imu)
-
     degrees = np.degrees(np.arccos(np.clip((np.trace(imu_R_imu) - 1) / 2, -1, 1)))
-    return Cure(f"extrinsics rotated by {degrees:.2f} deg", True, function)
+    return _camera_at(f"extrinsics rotated by {degrees:.2f} deg", True, lambda camera: camera.imu_T_cam[:3, 3],
+                      imu_R_imu)
 
 
 def swap_translation() -> Cure:
     """The translation t of `cam_T_imu` was the camera's position in the IMU frame: the map needs -R t instead."""
-
-    def function(drive):
-        cam_T_imu = drive.camera.cam_T_imu.copy()
-        cam_T_imu[:3, 3] = -cam_T_imu[:3, :3] @ cam_T_imu[:3, 3]
-        return drive.with_extrinsics(cam_T_imu)
-
-    return Cure("translation t of cam_T_imu replaced by -R t", False, function)
+    return _camera_at("translation t of cam_T_imu replaced by -R t", False, lambda camera: camera.cam_T_imu[:3, 3])
 
 
 def set_lever_arm(camera_in_imu) -> Cure:
     """The left camera sits at camera_in_imu (3,), m, in the IMU frame."""
+    return _camera_at(f"camera put at {np.round(camera_in_imu, 2).tolist()} m in the IMU frame", True,
+                      lambda camera: camera_in_imu)
 
+
+def _camera_at(name: str, needs_future: bool, position: Callable, turn=None) -> Cure:
+    """The camera at a position (3,) in the IMU frame, a function of the camera; R of cam_T_imu times turn (3, 3)."""
     def function(drive):
-        cam_T_imu = drive.camera.cam_T_imu.copy()
-        cam_T_imu[:3, 3] = -cam_T_imu[:3, :3] @ camera_in_imu
-        return drive.with_extrinsics(cam_T_imu)
-
-    return Cure(f"camera put at {np.round(camera_in_imu, 2).tolist()} m in the IMU frame", True, function)
+        R = drive.camera.cam_T_imu[:3, :3] if turn is None else drive.camera.cam_T_imu[:3, :3] @ turn
+        return drive.with_extrinsics(se3.pose(R, -R @ position(drive.camera)))
+    return Cure(name, needs_future, function)
 
 
 def subtract_gyro_bias(bias) -> Cure:
     """Subtract bias (3,), rad/s, from every gyro sample."""
-    return Cure(
-        f"gyro bias {np.round(bias, 5).tolist()} rad/s subtracted", True,
-        lambda drive: drive.replace(twists=drive.twists - np.r_[np.zeros(3), bias]),
-    )  # fmt: skip
+    return Cure(f"gyro bias {np.round(bias, 5).tolist()} rad/s subtracted", True,
+                lambda drive: drive.replace(twists=drive.twists - np.r_[np.zeros(3), bias]))
 
 
 def scale_imu(factors, what: str) -> Cure:
@@ -171,10 +143,8 @@ def reverse_gyro_axis(axis: int) -> Cure:
 
 def level_rows(offset: float) -> Cure:
     """Add offset, px, to every v_right, so that v_left - v_right is zero in the middle."""
-    return Cure(
-        f"v_right raised by {offset:.2f} px", True,
-        lambda drive: drive.replace(pixels=drive.pixels + [0, 0, 0, offset]),
-    )  # fmt: skip
+    return Cure(f"v_right raised by {offset:.2f} px", True,
+                lambda drive: drive.replace(pixels=drive.pixels + [0, 0, 0, offset]))
 
 
 def describe_axes(rotation) -> str:

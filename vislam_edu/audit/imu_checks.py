@@ -44,12 +44,10 @@ def mistimed(drive, timing):
         cure = cures.shift_imu(samples, "k" if fits % 1 == 0 else "mean")
         advice = f"move the IMU by {samples:+d} samples"
     late = (claimed - offset) * float(np.median(drive.taus))
-    yield Finding(
-        "IMU timing", late, "s", chance(p),
-        f'IMU sample k fits the motion over step k{fits:+g} best (k{offset:+.2f} +- {error:.2f}), but '
-        f'"{drive.imu_sample}" is claimed: it is {abs(late):.3f} s {"late" if late > 0 else "early"}',
-        cure, advice,
-    )  # fmt: skip
+    yield Finding("IMU timing", late, "s", chance(p),
+                  f'IMU sample k fits the motion over step k{fits:+g} best (k{offset:+.2f} +- {error:.2f}), but '
+                  f'"{drive.imu_sample}" is claimed: it is {abs(late):.3f} s {"late" if late > 0 else "early"}',
+                  cure, advice)
 
 
 def mirrored_axis(drive, motions, alignment):
@@ -75,11 +73,9 @@ def mirrored_axis(drive, motions, alignment):
         return [], alignment
     likely = [trial for trial in trials if trial[0] > most - threshold]
     z2, _, axis, cure, mirrored = max(likely, key=lambda trial: (trial[1], trial[0]))
-    finding = Finding(
-        "mirrored axis", axis, "axis of the gyro", chance(3 * chi2.sf(z2, 1)),
-        f"{AXES[3 + axis]} has the wrong sign: no rotation of the IMU explains it",
-        cure, f"reverse {AXES[3 + axis]}",
-    )  # fmt: skip
+    finding = Finding("mirrored axis", axis, "axis of the gyro", chance(3 * chi2.sf(z2, 1)),
+                      f"{AXES[3 + axis]} has the wrong sign: no rotation of the IMU explains it",
+                      cure, f"reverse {AXES[3 + axis]}")
     return [finding], mirrored
 
 
@@ -99,12 +95,10 @@ def turned_axes(drive, alignment):
     if p < SIGNIFICANCE:
         name = cures.describe_axes(turn)
         flipped = " and ".join("xyz"[i] for i in range(3) if turn[i, i] < 0) if (np.diag(turn) != 0).all() else ""
-        yield Finding(
-            "IMU axes", turn.astype(int).tolist(), "rotation", chance(p),
-            f"the samples are in another frame than the extrinsics: {name}"
-            + (f", the {flipped} axes are flipped" if flipped else ""),
-            cures.turn_imu_axes(turn.T), f"right-multiply cam_T_imu by {cures.describe_axes(turn.T)}",
-        )  # fmt: skip
+        yield Finding("IMU axes", turn.astype(int).tolist(), "rotation", chance(p),
+                      f"the samples are in another frame than the extrinsics: {name}"
+                      + (f", the {flipped} axes are flipped" if flipped else ""),
+                      cures.turn_imu_axes(turn.T), f"right-multiply cam_T_imu by {cures.describe_axes(turn.T)}")
 
 
 def _shrunk(deviation, covariance, prior):
@@ -128,8 +122,7 @@ def misalignment(drive, alignment):
             "misalignment", np.degrees(known).tolist(), "deg", chance(p),
             f"the extrinsics are rotated by {np.degrees(angle):.1f} deg against what cameras and IMU agree on "
             f"(about the IMU's axes: {_list(np.degrees(known), 1)} deg)",
-            cures.rotate_extrinsics(se3.so3_exp(-known)), "rotate the extrinsics by the fitted angle",
-        )  # fmt: skip
+            cures.rotate_extrinsics(se3.so3_exp(-known)), "rotate the extrinsics by the fitted angle")
 
 
 def lever_arm(drive, alignment):
@@ -198,8 +191,7 @@ def gyro_scale(drive, alignment):
         yield Finding(
             "gyro scale", scale, "IMU / cameras", chance(p), f"the IMU's gyro is {scale:.3f} times the cameras'",
             cures.scale_imu(np.r_[np.ones(3), [scale] * 3], f"gyro divided by {scale:.4f}"),
-            f"divide the gyro by {scale:.3f}",
-        )  # fmt: skip
+            f"divide the gyro by {scale:.3f}")
 
 
 def _contradiction(fault, scale, p, text):
@@ -212,22 +204,18 @@ def gyro_bias(drive, alignment):
     """A gyro that tells of turns at rest."""
     bias, p = alignment.gyro_bias, alignment.p_value(GYRO_BIAS, alignment.gyro_bias)
     if p < SIGNIFICANCE and np.abs(bias).max() > MIN_GYRO_BIAS:
-        yield Finding(
-            "gyro bias", bias.tolist(), "rad/s", chance(p),
-            f"{_list(bias, 4)} +- {_list(alignment.sigma(GYRO_BIAS), 4)} rad/s",
-            cures.subtract_gyro_bias(bias), "subtract it, or let the filter estimate it as it drives",
-        )  # fmt: skip
+        yield Finding("gyro bias", bias.tolist(), "rad/s", chance(p),
+                      f"{_list(bias, 4)} +- {_list(alignment.sigma(GYRO_BIAS), 4)} rad/s",
+                      cures.subtract_gyro_bias(bias), "subtract it, or let the filter estimate it as it drives")
 
 
 def facts(timing, alignment):
     """What timing and alignment measure whether anything is wrong or not, by name."""
     when = {"IMU sample k fits step k + s best for s": "{:.2f} +- {:.2f}".format(*timing.peak)} if timing else {}
-    return when | {
-        "camera in the IMU frame [m]": f"{_list(alignment.camera_in_imu, 2)} "
-                                       f"+- {_list(alignment.sigma(LEVER_ARM), 2)}",
-        "gyro bias [rad/s]": f"{_list(alignment.gyro_bias, 4)} +- {_list(alignment.sigma(GYRO_BIAS), 4)}",
-        "speed and gyro, IMU over cameras": f"{alignment.speed_scale:.3f}, {alignment.gyro_scale:.3f}",
-    }  # fmt: skip
+    return when | {"camera in the IMU frame [m]":
+                   f"{_list(alignment.camera_in_imu, 2)} +- {_list(alignment.sigma(LEVER_ARM), 2)}",
+                   "gyro bias [rad/s]": f"{_list(alignment.gyro_bias, 4)} +- {_list(alignment.sigma(GYRO_BIAS), 4)}",
+                   "speed and gyro, IMU over cameras": f"{alignment.speed_scale:.3f}, {alignment.gyro_scale:.3f}"}
 
 
 def _list(values, digits):

@@ -35,18 +35,14 @@ class MeasuredNoise:
     @property
     def noise(self) -> Noise:
         """For a filter: root mean square over the axes, and the larger of the two pixel numbers."""
-        return Noise(
-            sigma_v=float(np.sqrt(np.mean(self.sigma_v**2))),
-            sigma_omega=float(np.sqrt(np.mean(self.sigma_omega**2))),
-            sigma_px=max(self.sigma_px_rows, self.sigma_px_flow, LEAST_PX),
-        )
+        return Noise(sigma_v=float(np.sqrt(np.mean(self.sigma_v**2))),
+                     sigma_omega=float(np.sqrt(np.mean(self.sigma_omega**2))),
+                     sigma_px=max(self.sigma_px_rows, self.sigma_px_flow, LEAST_PX))
 
     def __str__(self):
         v, w = (", ".join(f"{x:.3g}" for x in sigma) for sigma in (self.sigma_v, self.sigma_omega))
-        return (
-            f"IMU noise per sample: v {v} m/s, omega {w} rad/s; "
-            f"pixels {self.sigma_px_rows:.2f} px (rows), {self.sigma_px_flow:.2f} px (frame to frame)"
-        )
+        return (f"IMU noise per sample: v {v} m/s, omega {w} rad/s; "
+                f"pixels {self.sigma_px_rows:.2f} px (rows), {self.sigma_px_flow:.2f} px (frame to frame)")
 
 
 def measure(drive) -> MeasuredNoise:
@@ -68,13 +64,8 @@ def from_alignment(drive, alignment, motions, every=1) -> MeasuredNoise:
     # Squared residuals scatter by sqrt(2) of their variance; all of that falls on the IMU's part
     variance_error = np.sqrt(2 / np.sum(alignment.variance**-2, axis=0))
     error = per_sample * variance_error / (2 * alignment.imu_sigma)
-    return MeasuredNoise(
-        sigma_v=sigma[:3],
-        sigma_omega=sigma[3:],
-        sigma_px_rows=visual_odometry.row_noise(drive.pixels),
-        sigma_px_flow=motions.sigma_px,
-        standard_error=error,
-    )
+    return MeasuredNoise(sigma[:3], sigma[3:], sigma_px_rows=visual_odometry.row_noise(drive.pixels),
+                         sigma_px_flow=motions.sigma_px, standard_error=error)
 
 
 def from_samples(drive) -> MeasuredNoise:

@@ -55,12 +55,10 @@ class Finding:
         return f"{self.fault}: {self.text} [{certainty}]\n    cure: {self.advice}"
 
     def to_dict(self) -> dict:
-        return {
-            "fault": self.fault, "size": self.size, "unit": self.unit, "p_value": self.p_value,
-            "confidence": self.confidence, "text": self.text, "advice": self.advice,
-            "cure": self.cure and self.cure.name, "needs_future": self.cure and self.cure.needs_future,
-            "whole": self.whole,
-        }  # fmt: skip
+        return {"fault": self.fault, "size": self.size, "unit": self.unit, "p_value": self.p_value,
+                "confidence": self.confidence, "text": self.text, "advice": self.advice,
+                "cure": self.cure and self.cure.name, "needs_future": self.cure and self.cure.needs_future,
+                "whole": self.whole}
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,26 +154,21 @@ class Report:
     def to_dict(self) -> dict:
         """Plain numbers, strings, lists and dictionaries, for JSON."""
         alignment, noise = self.alignment, self.noise
-        return {
-            "name": self.drive.name, "frames": self.drive.n_frames, "tracks": self.drive.n_landmarks,
-            "history": list(self.drive.history), "facts": self.facts,
-            "findings": [finding.to_dict() for finding in self.findings], "unjudged": self.unjudged,
-            "copy_frames": (np.flatnonzero(self.copy_steps) + 1).tolist(),
-            "alignment": alignment and self.signs is not None and {
-                "imu_R_cam": alignment.imu_R_cam.tolist(),
-                "camera_in_imu_m": alignment.camera_in_imu.tolist(),
-                "camera_in_imu_sigma_m": alignment.sigma(imu_alignment.LEVER_ARM).tolist(),
-                "gyro_bias_rad_s": alignment.gyro_bias.tolist(),
-                "gyro_bias_sigma_rad_s": alignment.sigma(imu_alignment.GYRO_BIAS).tolist(),
-                "speed_scale": alignment.speed_scale, "gyro_scale": alignment.gyro_scale,
-                "correlation_by_the_file": dict(zip(AXES, self.signs.tolist())),
-                "correlation_at_best": dict(zip(AXES, alignment.correlation.tolist())),
-            },
-            "noise": {
-                "sigma_v_m_s": noise.sigma_v.tolist(), "sigma_omega_rad_s": noise.sigma_omega.tolist(),
-                "sigma_px_rows": noise.sigma_px_rows, "sigma_px_flow": noise.sigma_px_flow,
-            },
-        }  # fmt: skip
+        return {"name": self.drive.name, "frames": self.drive.n_frames, "tracks": self.drive.n_landmarks,
+                "history": list(self.drive.history), "facts": self.facts,
+                "findings": [finding.to_dict() for finding in self.findings], "unjudged": self.unjudged,
+                "copy_frames": (np.flatnonzero(self.copy_steps) + 1).tolist(),
+                "alignment": alignment and self.signs is not None and {
+                    "imu_R_cam": alignment.imu_R_cam.tolist(),
+                    "camera_in_imu_m": alignment.camera_in_imu.tolist(),
+                    "camera_in_imu_sigma_m": alignment.sigma(imu_alignment.LEVER_ARM).tolist(),
+                    "gyro_bias_rad_s": alignment.gyro_bias.tolist(),
+                    "gyro_bias_sigma_rad_s": alignment.sigma(imu_alignment.GYRO_BIAS).tolist(),
+                    "speed_scale": alignment.speed_scale, "gyro_scale": alignment.gyro_scale,
+                    "correlation_by_the_file": dict(zip(AXES, self.signs.tolist())),
+                    "correlation_at_best": dict(zip(AXES, alignment.correlation.tolist()))},
+                "noise": {"sigma_v_m_s": noise.sigma_v.tolist(), "sigma_omega_rad_s": noise.sigma_omega.tolist(),
+                          "sigma_px_rows": noise.sigma_px_rows, "sigma_px_flow": noise.sigma_px_flow}}
 
     @style.styled
     def figure(self):
@@ -208,8 +201,7 @@ def _draw_gyro(ax, i, since_start, alignment):
         return
     at = since_start[alignment.steps]
     ax.plot(at, alignment.measured[:, 3 + i], ".", ms=2, color=style.COLOURS["measured"], label="IMU")
-    ax.plot(at, alignment.predicted[:, 3 + i], lw=1, color=style.COLOURS["predicted"],
-            label="cameras, best mounting")
+    ax.plot(at, alignment.predicted[:, 3 + i], lw=1, color=style.COLOURS["predicted"], label="cameras, best mounting")
     _legend_above_data(ax)
 
 

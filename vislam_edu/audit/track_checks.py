@@ -28,24 +28,20 @@ def copy_frames(drive, copy_steps):
     count = int(copy_steps.sum())
     if count:
         share = track_health.copied(drive).mean()
-        cure = cures.end_tracks_at_copies()
-        yield Finding(
-            "copy frames", count, "frames", 0.0,
-            f"at {count} frames every track seen there and one frame before has exactly its old pixels "
-            f"({share:.1%} of all observations are such copies)",
-            cure, "end each track before its first copy; what it says later is stale",
-        )  # fmt: skip
+        yield Finding("copy frames", count, "frames", 0.0,
+                      f"at {count} frames every track seen there and one frame before has exactly its old pixels "
+                      f"({share:.1%} of all observations are such copies)",
+                      cures.end_tracks_at_copies(), "end each track before its first copy; what it says later is stale")
 
 
 def frozen(drive):
     """Tracks that stand still, pixel for pixel, while others move."""
     bad = track_health.frozen(drive)
     if bad.any():
-        yield Finding(
-            "frozen tracks", int(bad.sum()), "observations", 0.0,
-            f"{bad.sum()} observations have exactly the pixels of the frame before while other tracks move",
-            cures.end_tracks_at_frozen(), "end each track before it freezes",
-        )  # fmt: skip
+        yield Finding("frozen tracks", int(bad.sum()), "observations", 0.0,
+                      f"{bad.sum()} observations have exactly the pixels of the frame before while other tracks move",
+                      cures.end_tracks("tracks ended before they froze", track_health.frozen),
+                      "end each track before it freezes")
 
 
 def behind_infinity(drive):
@@ -53,12 +49,12 @@ def behind_infinity(drive):
     bad = track_health.behind_infinity(drive)
     p = float(poisson.sf(bad.sum() - 1, len(bad) * norm.sf(5)))
     if p < SIGNIFICANCE and bad.mean() > MIN_BEHIND_INFINITY:
-        yield Finding(
-            "behind infinity", int(bad.sum()), "observations", chance(p),
-            f"{bad.sum()} disparities ({bad.mean():.2%}) are below zero by more than noise explains, "
-            f"down to {track_health.disparity(drive).min():.1f} px: left and right show different things",
-            cures.end_tracks_behind_infinity(), "end each track before its first impossible disparity",
-        )  # fmt: skip
+        yield Finding("behind infinity", int(bad.sum()), "observations", chance(p),
+                      f"{bad.sum()} disparities ({bad.mean():.2%}) are below zero by more than noise explains, "
+                      f"down to {track_health.disparity(drive).min():.1f} px: left and right show different things",
+                      cures.end_tracks("tracks ended before their first impossible disparity",
+                                       track_health.behind_infinity),
+                      "end each track before its first impossible disparity")
 
 
 def row_offset(drive):
@@ -70,11 +66,9 @@ def row_offset(drive):
     error = 1.2533 * 2**0.5 * visual_odometry.row_noise(drive.pixels) / len(difference) ** 0.5  # of a median
     p = 2 * norm.sf(abs(offset) / max(error, 1e-12))
     if p < SIGNIFICANCE and abs(offset) > MIN_ROW_OFFSET:
-        yield Finding(
-            "row offset", offset, "px", chance(p),
-            f"v_left - v_right is {offset:+.2f} px in the middle: the pair is not rectified",
-            cures.level_rows(offset), f"add {offset:.2f} px to v_right",
-        )  # fmt: skip
+        yield Finding("row offset", offset, "px", chance(p),
+                      f"v_left - v_right is {offset:+.2f} px in the middle: the pair is not rectified",
+                      cures.level_rows(offset), f"add {offset:.2f} px to v_right")
 
 
 def missing_frames(drive):
@@ -85,8 +79,7 @@ def missing_frames(drive):
         yield Finding(
             "missing frames", missing, "frames", 0.0,
             f"steps of up to {drive.taus.max():.3f} s where {usual:.3f} s is usual: about {missing} frames are missing",
-            None, "trust the filter less over such a step; the IMU sample is held for all of it",
-        )  # fmt: skip
+            None, "trust the filter less over such a step; the IMU sample is held for all of it")
 
 
 def outlier_tracks(drive, motions):
@@ -109,25 +102,21 @@ def outlier_tracks(drive, motions):
         text = f"{outliers.sum()} of {judged.sum()} tracks ({share:.1%}) contradict the others most of the time"
         if stuck.any():
             text += f"; {stuck.sum()} of them stand still in the image when they should move"
-        yield Finding(
-            "outlier tracks", float(share), "share of the tracks", chance(p), text,
-            cures.drop_tracks(drive, np.flatnonzero(outliers)), "drop them, or rely on the filter's gate",
-        )  # fmt: skip
+        yield Finding("outlier tracks", float(share), "share of the tracks", chance(p), text,
+                      cures.drop_tracks(drive, np.flatnonzero(outliers)), "drop them, or rely on the filter's gate")
 
 
 def facts(drive, cured, motions):
     """What the tracks measure whether anything is wrong or not, by name. cured : the drive with its tracks cured."""
     disparity, lengths = track_health.disparity(drive), track_health.lengths(drive)
-    facts = {
-        "tracks in view (least, mean, most)": [int(drive.visible.min()), float(drive.visible.mean()),
-                                               int(drive.visible.max())],
-        "track length in frames (median, longest)": [float(np.median(lengths)) if lengths.size else 0.0,
-                                                     int(lengths.max(initial=0))],
-        "disparities at or below 0 px": int((disparity <= 0).sum()),
-        "disparities below 1 px": int((disparity < 1).sum()),
-        "noise of v_left - v_right per coordinate [px]": visual_odometry.row_noise(drive.pixels),
-        "steps whose motion the cameras know": f"{motions.ok.mean():.1%}" if motions.ok.size else "none",
-    }
+    facts = {"tracks in view (least, mean, most)": [int(drive.visible.min()), float(drive.visible.mean()),
+                                                    int(drive.visible.max())],
+             "track length in frames (median, longest)": [float(np.median(lengths)) if lengths.size else 0.0,
+                                                          int(lengths.max(initial=0))],
+             "disparities at or below 0 px": int((disparity <= 0).sum()),
+             "disparities below 1 px": int((disparity < 1).sum()),
+             "noise of v_left - v_right per coordinate [px]": visual_odometry.row_noise(drive.pixels),
+             "steps whose motion the cameras know": f"{motions.ok.mean():.1%}" if motions.ok.size else "none"}
     if len(cured.landmark) < len(drive.landmark):
         facts["observations left after the cures of tracks"] = f"{len(cured.landmark) / len(drive.landmark):.1%}"
     if motions.ok.any():

@@ -18,10 +18,10 @@ import numpy as np
 from scipy.stats import chi2
 
 from .. import se3
+from ..stereo import ROW_VARIANCE, reduce_rows
 
 MIN_TRACKS = 8  # inlier tracks; below, six numbers from noisy pairs are not worth having
 INLIER_PROBABILITY = 0.999  # of a correct pair to be taken for one
-_UNIT_COVARIANCE = np.array([1.0, 0.5, 1.0])  # of [u_left, (v_left + v_right) / 2, u_right] for pixel noise of 1 px
 _ROBUST_ROUNDS, _ITERATIONS = 3, 3  # the noise carried along changes slowly, once per round is enough
 _TINY_PX = 1e-9
 
@@ -128,18 +128,15 @@ def estimate(drive) -> FrameMotions:
     covariance = np.zeros((n_steps, 6, 6))
     covariance[ok] = variance * np.linalg.inv(information[ok])
     after_T_before[~ok] = np.eye(4)
-    return FrameMotions(
-        motion=se3.inverse(after_T_before), covariance=covariance, ok=ok, taus=drive.taus,
-        sigma_px=float(variance**0.5), step=step, before=before, after=after, mahalanobis2=d2,
-    )  # fmt: skip
+    return FrameMotions(motion=se3.inverse(after_T_before), covariance=covariance, ok=ok, taus=drive.taus,
+                        sigma_px=float(variance**0.5), step=step, before=before, after=after, mahalanobis2=d2)
 
 
 def _nothing(drive, step, before, after):
     n = drive.n_frames - 1
     return FrameMotions(
         motion=np.broadcast_to(np.eye(4), (n, 4, 4)), covariance=np.zeros((n, 6, 6)), ok=np.zeros(n, bool),
-        taus=drive.taus, sigma_px=float("nan"), step=step, before=before, after=after, mahalanobis2=np.empty(0),
-    )  # fmt: skip
+        taus=drive.taus, sigma_px=float("nan"), step=step, before=before, after=after, mahalanobis2=np.empty(0))
 
 
 class _Problem:
@@ -151,7 +148,7 @@ class _Problem:
         (fu, _, cu), (_, fv, cv), _ = camera.K
         self.focal, self.fb = np.array([fu, fv]), fu * camera.baseline
         self.centre = np.array([cu, cv, cu])
-        first, self.measured = (_three(drive.pixels[rows]) - self.centre for rows in (before, after))
+        first, self.measured = (reduce_rows(drive.pixels[rows]) - self.centre for rows in (before, after))
         ray = np.stack([first[:, 0] / fu, first[:, 1] / fv, np.ones(len(step))], axis=-1)
         self.point = np.column_stack([ray, (first[:, 0] - first[:, 2]) / self.fb])
         # Columns: how [ray, inverse depth] answers to u_left, v and u_right
@@ -180,10 +177,10 @@ class _Problem:
         """
         _, slope, _ = self._predict(after_T_before)
         G = slope @ after_T_before[self.step] @ self.lifted
-        S = (G * _UNIT_COVARIANCE) @ G.mT
-        S[:, range(3), range(3)] += _UNIT_COVARIANCE
+        S = (G * ROW_VARIANCE) @ G.mT
+        S[:, range(3), range(3)] += ROW_VARIANCE
         whitener = np.linalg.inv(np.linalg.cholesky(S))
-        return whitener, self.lifted * _UNIT_COVARIANCE @ (whitener @ G).mT
+        return whitener, self.lifted * ROW_VARIANCE @ (whitener @ G).mT
 
     def whitened(self, after_T_before, whitener, gain):
         """Residuals (P, 3) and Jacobians (P, 3, 6) by the left perturbation of the motion, both of unit noise."""
@@ -235,8 +232,3 @@ class _Problem:
         q = chi2.ppf(INLIER_PROBABILITY, 3)
         kept = chi2.cdf(q, 5) / chi2.cdf(q, 3)  # E[d2 | d2 < q] / 3 for three degrees of freedom
         return d2[inlier].sum() / max(freedom, 1) / kept
-
-
-def _three(pixels):
-    """[u_left, (v_left + v_right) / 2, u_right] of pixels (..., 4)."""
-    return np.stack([pixels[..., 0], (pixels[..., 1] + pixels[..., 3]) / 2, pixels[..., 2]], axis=-1)

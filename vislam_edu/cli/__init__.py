@@ -43,7 +43,7 @@ def parser(argv) -> Parser:
     for name, (package, text) in available().items():
         command = commands.add_parser(name, help=text, description=text[0].upper() + text[1:] + ".")
         if argv[:1] == [name]:
-            import_module(f".{name}", package).add_arguments(command)
+            _module(name, package).add_arguments(command)
             command.set_defaults(package=package)
     return top
 
@@ -57,7 +57,11 @@ def available() -> dict[str, tuple[str, str]]:
 def dispatch(argv) -> int:
     """Parse and do; returns the exit status, errors come out as exceptions."""
     arguments = parser(argv).parse_args(argv)
-    return import_module(f".{arguments.command}", arguments.package).run(arguments)
+    return _module(arguments.command, arguments.package).run(arguments)
+
+
+def _module(name, package):
+    return import_module(f".{name.replace('-', '_')}", package)
 
 
 def main(argv=None, do=None) -> int:

@@ -6,6 +6,7 @@
 import argparse
 import math
 from pathlib import Path
+from typing import Any
 
 
 class OptionError(ValueError):
@@ -51,6 +52,8 @@ def add_recording(parser):
     parser.add_argument("--ground-truth", type=Path, metavar="FILE",
                         help="true poses of the left camera: KITTI (12 numbers a row) or TUM "
                              "(time x y z qx qy qz qw); or of the IMU: csv of EuRoC or TUM-VI")
+    parser.add_argument("--accelerometer", type=Path, metavar="FILE",
+                        help="gyro and accelerometer in the recording's clock: csv of EuRoC (imu0/data.csv)")
     parser.add_argument("--extrinsics", metavar="READING",
                         help="how to read extL_T_imu and extR_T_imu: imu_T_regular, optical_T_imu, imu_T_optical or "
                              "regular_T_imu (default: as the numbers say)")
@@ -60,11 +63,31 @@ def add_recording(parser):
                         help="frame to stop before (default: the end)")
 
 
+SIGMAS = {"sigma_v": (0.5, "m/s", "linear velocity"), "sigma_omega": (0.05, "rad/s", "angular velocity"),
+          "sigma_px": (0.7, "px", "each pixel coordinate")}  # as `Noise` has them, unit, of what
+
+
+def add_noise(parser, *, preset=True, perfect_pixels=False):
+    """One standard deviation per sample and axis of each sensor; None where not given, if there is no preset."""
+    for name, (value, unit, what) in SIGMAS.items():
+        check = number(0, 1e3 if preset else math.inf, low_allowed=perfect_pixels or name != "sigma_px")
+        parser.add_argument(f"--{name.replace('_', '-')}", type=check, metavar=unit.upper(),
+                            default=value if preset else None, help=f"{what} (default: {value} {unit})")
+
+
+def sigmas(arguments) -> dict[str, Any]:
+    """What `add_noise` was given, by the names that `Noise` has."""
+    given = {name: getattr(arguments, name) for name in SIGMAS}
+    return {name: value for name, value in given.items() if value is not None}
+
+
 def read_recording(arguments):
     """The `Drive` that `add_recording` asked for. Raises DriveError when it cannot be used."""
     from .. import recordings  # here, or --help would load numpy and scipy first
 
     drive = recordings.load(arguments.recording, arguments.extrinsics)
+    if arguments.accelerometer is not None:
+        drive = recordings.load_imu(arguments.accelerometer, drive)
     if arguments.ground_truth is not None:
         drive = recordings.load_ground_truth(arguments.ground_truth, drive)
     if (arguments.first, arguments.stop) != (0, None):

@@ -4,24 +4,18 @@ import functools
 import json
 from pathlib import Path
 
-from ..noise import Noise
-from .arguments import OptionError, number, whole
+from .arguments import OptionError, add_noise, sigmas, whole
 
 
 def add_arguments(parser):
     """The options of `consistency`. parser : argparse.ArgumentParser."""
-    noise = Noise()
     parser.add_argument("--seeds", type=whole(1, 100_000), default=50, help="number of drives (default: %(default)s)")
     parser.add_argument("--out", type=Path, required=True, help="directory for summary.json and a file "
                         "per drive; a study that was interrupted goes on from there")
     parser.add_argument("--frames", type=whole(2, 100_000), help="frames per drive (default: 500, or a regime's own)")
     parser.add_argument("--regime", metavar="NAME", help="filters and batch where cameras, rates, noise or distances "
                         "are others, see studies.regimes (far, robot, slow, ...), or all of them")
-    parser.add_argument("--sigma-v", type=number(0, 1e3), default=noise.sigma_v, help="m/s (default: %(default)s)")
-    parser.add_argument("--sigma-omega", type=number(0, 1e2), default=noise.sigma_omega,
-                        help="rad/s (default: %(default)s)")
-    parser.add_argument("--sigma-px", type=number(0, 1e3, low_allowed=False), default=noise.sigma_px,
-                        help="px (default: %(default)s)")
+    add_noise(parser)
     parser.add_argument("--workers", type=whole(1, 1024), default=1, help="processes (default: %(default)s)")
 
 
@@ -36,9 +30,10 @@ def run(arguments) -> int:
     import joblib
 
     from .. import simulate
+    from ..noise import Noise
     from ..studies import consistency
 
-    sensors = {key: getattr(arguments, key) for key in ("sigma_v", "sigma_omega", "sigma_px")}
+    sensors = sigmas(arguments)
     make_drive = functools.partial(simulate.street_loop, frames=arguments.frames or 500, **sensors)
     try:
         with joblib.parallel_config(n_jobs=arguments.workers):

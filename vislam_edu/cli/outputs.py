@@ -13,7 +13,6 @@ import numpy as np
 from .. import metrics, recordings, se3
 from ..error_state import RightPerturbation
 from ..plots import report_figures, style
-from ..plots.graph import draw_batch
 from ..recordings.files import part_of
 from ..studies import pipeline
 
@@ -37,7 +36,7 @@ def summary(result, smoothed=None, lens=None, warnings=()) -> dict:
     alignment), ate_m (after SE(3) alignment) and KITTI drift, of the left camera as in the benchmark, NaN for drives
     under 100 m; those of dead reckoning carry its name. With a batch estimate its seconds, iterations and the same
     errors, under its name; `batch` says how it ended and what it claims, see `_ending`. Where pixels were
-    corrected, lens_px and lens_sigma_px: the numbers of that `lens.Lens`. Last, as lists of sentences, changed
+    corrected, lens_px and lens_sigma_px: the numbers of these `LensErrors`. Last, as lists of sentences, changed
     (what was done to the recording) and warnings (what speaks against the result, those given first).
     """
     drive, slam = result.drive, result.slam
@@ -93,6 +92,8 @@ def _ending(solution):
 def _truth_beside(drive, world_T_imu):
     """The true poses (T, 4, 4) in the world of the estimated ones."""
     truth = drive.true_world_T_imu
+    if drive.imu is not None:
+        return truth  # `run_pipeline` has put it into the world of the estimate
     first = np.flatnonzero(np.isfinite(truth[:, 0, 0]))[0]
     return world_T_imu[first] @ truth if first else truth  # one that starts late is in the frame of its own first pose
 
@@ -157,7 +158,7 @@ def write(result, folder, smoothed=None, lens=None, warnings=()):
     without calibration error; calibration_covariance: that error alone, where it was asked for), and the landmarks (m,
     world) that the filter used, with ids and covariances. fig1_... to fig7_... .png. smoothed : `pipeline.Smoothed` or
     None; its poses and landmarks are then in result.npz too, and fig8_batch.png compares the paths. lens :
-    `lens.Lens` that corrected the pixels, or None; it is written to lens.json. warnings : sentences that come before
+    `LensErrors` that corrected the pixels, or None; it is written to lens.json. warnings : sentences that come before
     those of the result.
     """
     folder, drive, slam = Path(folder), result.drive, result.slam
@@ -188,7 +189,7 @@ def write(result, folder, smoothed=None, lens=None, warnings=()):
                                         "batch_landmarks": smoothed.solution.estimate.landmarks}),
     )
     if smoothed is not None:
-        draw_batch(result, smoothed.solution.estimate.world_T_imu).savefig(folder / "fig8_batch.png", **PNG)
+        report_figures.batch(result, smoothed.solution.estimate.world_T_imu).savefig(folder / "fig8_batch.png", **PNG)
     for name, draw in report_figures.FIGURES.items():
         draw(result).savefig(folder / f"{name}.png", **PNG)
     return numbers
@@ -245,6 +246,7 @@ def description(drive) -> str:
         "source": drive.source,
         "frames": f"{drive.n_frames} in {drive.duration:.2f} s",
         "IMU sample for step k": drive.imu_sample,
+        "accelerometer": _imu(drive.imu),
         "speed": f"{np.linalg.norm(drive.twists[:, :3], axis=1).mean():.2f} m/s on average",
         "landmarks": f"{drive.n_landmarks}, in view at once {_spread(drive.visible)}",
         "frames of a track": _spread(length[drive.first_seen >= 0]),
@@ -261,6 +263,11 @@ def _spread(counts):
     if not len(counts):
         return "none"
     return f"{counts.min()} to {counts.max()}, {counts.mean():.1f} on average"
+
+
+def _imu(samples):
+    return "none" if samples is None else (f"{len(samples.times)} samples from {samples.times[0]:.2f} to "
+                                           f"{samples.times[-1]:.2f} s")
 
 
 def _truth(drive):

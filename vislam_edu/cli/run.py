@@ -3,7 +3,7 @@
 import sys
 from pathlib import Path
 
-from .arguments import OptionError, add_recording, ground_truth_doubts, number, read_recording, whole
+from .arguments import OptionError, add_noise, add_recording, ground_truth_doubts, number, read_recording, sigmas, whole
 
 
 def add_arguments(parser):
@@ -33,11 +33,11 @@ def add_arguments(parser):
     parser.add_argument("--out", type=Path, required=True, metavar="DIR",
                         help="folder for figures, trajectories, result.npz and summary.json; made if missing")
     noise = parser.add_argument_group("noise, one standard deviation per sample and axis")
-    noise.add_argument("--sigma-v", type=number(0), metavar="M/S", help="linear velocity (default: 0.5 m/s)")
-    noise.add_argument("--sigma-omega", type=number(0), metavar="RAD/S",
-                       help="angular velocity (default: 0.05 rad/s)")
-    noise.add_argument("--sigma-px", type=number(0, low_allowed=False), metavar="PX",
-                       help="each pixel coordinate (default: 0.7 px)")
+    add_noise(noise, preset=False)
+    noise.add_argument("--imu-noise", type=number(0, low_allowed=False), nargs=4,
+                       metavar=("GYRO", "ACC", "GYRO_WALK", "ACC_WALK"),
+                       help="of gyro and accelerometer, see imu.ImuNoise: their densities, rad/s and m/s^2 per root "
+                            "Hz, and the walks of their biases (default: as in the file, else those of an ADIS16448)")
     noise.add_argument("--report-noise", action="store_true",
                        help="the report's W and V where no other value is given (overconfident: try it)")
     joint = parser.add_argument_group("the joint filter")
@@ -62,8 +62,7 @@ def noise_from(arguments, base):
     """`base` with the values given on the command line in place of its own."""
     import dataclasses
 
-    given = {key: getattr(arguments, key) for key in ("sigma_v", "sigma_omega", "sigma_px")}
-    return dataclasses.replace(base, **{key: value for key, value in given.items() if value is not None})
+    return dataclasses.replace(base, **sigmas(arguments))
 
 
 def prepare(arguments):
@@ -71,13 +70,21 @@ def prepare(arguments):
 
     Raises DriveError where the audit is certain that the file is read wrongly and `--force` is not given.
     """
-    from .. import robust
+    import dataclasses
+
+    from .. import inertial, robust
     from ..drive import DriveError
+    from ..imu import ImuNoise
     from ..noise import Noise
     from ..studies import pipeline, scale
 
     drive, options, warnings = read_recording(arguments), {}, []
     base = Noise.from_report() if arguments.report_noise else Noise()
+    if drive.imu is not None and arguments.audit:
+        raise OptionError("run: --audit judges an IMU that gives velocities: not with an accelerometer")
+    if arguments.imu_noise:
+        samples = inertial.samples_of(drive)
+        drive = drive.replace(imu=dataclasses.replace(samples, noise=ImuNoise(*arguments.imu_noise)))
     if arguments.audit:
         from ..audit import audit
 
@@ -116,13 +123,13 @@ def error_state_of(arguments):
 
 
 def correct_lens(arguments, drive, noise):
-    """The drive with its pixels corrected, the `lens.Lens` that did it, and warnings of its estimate."""
-    from ..studies import lens, pipeline
+    """The drive with its pixels corrected, the `LensErrors` that did it, and warnings of its estimate."""
+    from ..studies import lens_errors, pipeline
 
     if arguments.lens_from:
-        found, warnings = lens.load(arguments.lens_from), []
+        found, warnings = lens_errors.load(arguments.lens_from), []
     else:
-        found, smoothed = lens.estimate(pipeline.batch_of_real_drive(drive, noise, scale_sigma=0.05))
+        found, smoothed = lens_errors.estimate(pipeline.batch_of_real_drive(drive, noise, scale_sigma=0.05))
         warnings = [f"lens: {warning}" for warning in smoothed.warnings]
     if not arguments.quiet:
         print(found, end="\n\n")
@@ -131,11 +138,13 @@ def correct_lens(arguments, drive, noise):
 
 def batch_problem(arguments, drive, noise):
     """What `--batch` minimises. Raises OptionError or DriveError where nothing can be minimised."""
-    from .. import batch
+    from .. import batch, inertial, inertial_batch
     from ..drive import DriveError
     from ..studies import pipeline
 
     try:
+        if drive.imu is not None:
+            return inertial_batch.Problem(drive, noise, begin=inertial.initial(drive, noise))
         return (pipeline.batch_of_real_drive(drive, noise, scale_sigma=0.05) if arguments.audit
                 else batch.Problem(drive, noise))
     except DriveError as error:
@@ -153,6 +162,7 @@ def _on_all_cores():
 
 def run(arguments):
     """Run the filters and write their results; returns the exit status."""
+    import dataclasses
     from contextlib import nullcontext
     from functools import partial
 
@@ -192,7 +202,10 @@ def run(arguments):
         if unusable := breakdown.unusable(result):
             raise DriveError(f"{arguments.recording}: not finite, or with a covariance that is not positive definite: "
                              f"{', '.join(unusable)}; {breakdown.likely_reason(drive, noise)}")
-        smoothed = pipeline.run_batch(problem, result.slam.trajectory.world_T_imu) if problem else None
+        smoothed = None
+        if problem:
+            problem = dataclasses.replace(problem, drive=result.drive)  # whose truth may be in another world by now
+            smoothed = pipeline.run_batch(problem, result.slam.trajectory.world_T_imu)
         numbers = outputs.write(result, folder, smoothed, found, [*ground_truth_doubts(arguments, drive), *warnings])
     if not arguments.quiet:
         print(outputs.table(numbers))

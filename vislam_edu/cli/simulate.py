@@ -2,20 +2,16 @@
 
 from pathlib import Path
 
-from .arguments import OptionError, number, whole
+from .arguments import SIGMAS, OptionError, add_noise, number, whole
 
 
 def add_arguments(parser):
     """The options of `simulate`. parser : argparse.ArgumentParser."""
     parser.add_argument("--out", type=Path, required=True, metavar="FILE", help="npz file to write")
-    parser.add_argument("--seed", type=whole(0), default=0, metavar="N",
-                        help="of everything random (default: 0)")
+    parser.add_argument("--seed", type=whole(0), default=0, metavar="N", help="of everything random (default: 0)")
     parser.add_argument("--frames", type=whole(2, 100_000), default=500, metavar="N", help="at 10 Hz (default: 500)")
-    parser.add_argument("--sigma-v", type=number(0, 1e3), default=0.5, metavar="M/S", help="default: 0.5")
-    parser.add_argument("--sigma-omega", type=number(0, 1e2), default=0.05, metavar="RAD/S", help="default: 0.05")
-    parser.add_argument("--sigma-px", type=number(0, 1e3), default=0.7, metavar="PX", help="default: 0.7")
-    parser.add_argument("--gyro-bias", type=number(), nargs=3, default=(0.0, 0.0, 0.0),
-                        metavar=("X", "Y", "Z"),
+    add_noise(parser, perfect_pixels=True)
+    parser.add_argument("--gyro-bias", type=number(), nargs=3, default=(0.0, 0.0, 0.0), metavar=("X", "Y", "Z"),
                         help="rad/s, constant (default: none)")
     parser.add_argument("--outlier-share", type=number(0, 1), default=0.0, metavar="SHARE",
                         help="of the tracks, wrong on purpose (default: 0)")
@@ -26,7 +22,7 @@ def run(arguments):
     from .. import recordings
     from ..simulate import street_loop
 
-    names = ("seed", "frames", "sigma_v", "sigma_omega", "sigma_px", "gyro_bias", "outlier_share")
+    names = ("seed", "frames", *SIGMAS, "gyro_bias", "outlier_share")
     try:
         drive = street_loop(**{name: getattr(arguments, name) for name in names})
     except ValueError as error:

@@ -13,9 +13,13 @@ def add_arguments(parser):
                         help="a folder of KITTI's or EuRoC's layout, two folders (left, right), the course's "
                              "_imgs.npy, or two videos (these need imageio)")
     parser.add_argument("--calibration", nargs="+", type=Path, required=True, metavar="FILE",
-                        help="KITTI's calib.txt, EuRoC's two yaml files (left, right), or a recording of the course")
-    parser.add_argument("--imu", type=Path, required=True, metavar="FILE",
-                        help="velocities: a recording of the course, or rows of time, linear and angular velocity")
+                        help="KITTI's calib.txt or calib_cam_to_cam.txt, EuRoC's two yaml files (left, right), or a "
+                             "recording of the course")
+    imu = parser.add_mutually_exclusive_group(required=True)
+    imu.add_argument("--imu", type=Path, metavar="FILE",
+                     help="velocities: a recording of the course, or rows of time, linear and angular velocity")
+    imu.add_argument("--accelerometer", type=Path, metavar="FILE",
+                     help="gyro and accelerometer instead: csv of EuRoC (imu0/data.csv)")
     parser.add_argument("--out", type=Path, required=True, metavar="FILE", help="npz file to write")
     parser.add_argument("--visible", type=whole(8, 2000), default=150, metavar="N",
                         help="tracks at a time, at most (default: 150)")
@@ -43,6 +47,7 @@ def run(arguments):
     """Track, and write the recording; returns the exit status."""
     from importlib.util import find_spec
 
+    import numpy as np
     from tqdm import tqdm
 
     from .. import recordings, tracking
@@ -52,8 +57,13 @@ def run(arguments):
     if arguments.out.suffix != ".npz":
         raise OptionError(f"{arguments.out}: expected a name that ends in .npz")
     pairs = images.open_pairs(arguments.images)
-    rig, make = images.open_calibration(arguments.calibration)
-    imu_times, twists = images.open_imu(arguments.imu)
+    rig, make = images.open_calibration(arguments.calibration, pairs.first)
+    if arguments.imu:
+        imu_times, twists = images.open_imu(arguments.imu)
+    elif pairs.times is None:
+        raise DriveError(f"{arguments.images[0]}: no times beside the images, which --accelerometer needs")
+    else:
+        imu_times, twists = pairs.times, np.zeros((len(pairs), 6))
     times = imu_times[:len(pairs)] if pairs.times is None else pairs.times
     n = min(len(pairs), len(times))
     if n < 2:
@@ -72,6 +82,8 @@ def run(arguments):
         if len(frames) % _STORE_EVERY == 0:
             _store(state, frames)
     drive = make(frames, times[:n], twists, name=arguments.out.stem, source=f"images of {arguments.images[0].name}")
+    if arguments.accelerometer:
+        drive = recordings.load_imu(arguments.accelerometer, drive)
     recordings.save(drive, arguments.out)
     state.unlink(missing_ok=True)
     if not arguments.quiet:

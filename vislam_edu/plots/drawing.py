@@ -4,8 +4,7 @@ Functions that start with `draw_` put artists on axes that they are given. The o
 return it. pyplot is not involved: in a notebook the figure is the cell's last expression (no semicolon), in a
 script `figure.savefig(path)` writes it.
 
-Maps are in metres, world frame, equal scales: x (forward at the start) to the right, y (left at the start)
-up.
+Maps are in metres, world frame, equal scales: x (forward at the start) to the right, y (left at the start) up.
 """
 
 import re
@@ -17,6 +16,11 @@ from scipy.special import ndtri
 
 from .. import se3
 from . import style
+
+__all__ = ["TWO_SIDED_95", "WIDTH", "draw_ellipses", "draw_inset", "draw_landmarks", "draw_position_ellipses",
+           "draw_trajectory", "draw_truth", "finish", "heading", "heading_error", "heading_sigma",
+           "inside", "new_figure", "new_map", "over_time", "plane_sigma", "position_covariance", "position_outlines",
+           "trajectories", "view_around", "view_with_outlines"]
 
 WIDTH = 6.4  # inches, of every figure: 640 px
 _AXES_LEFT, _AXES_WIDTH = 0.75, 5.5  # inches, the same in every figure, so that pictures line up on a page
@@ -69,7 +73,7 @@ def view_around(*positions, margin=30.0):
     return _widened(x0, x1, y0, y1)
 
 
-def view_with_outlines(paths, outlines, margin=10.0):
+def view_with_outlines(paths, outlines):
     """The view around paths and ellipses; ellipses that leave the paths far behind (by a quarter of their
     extent) are cut off, or a filter that knows nothing would shrink the drive to a dot.
     """
@@ -77,7 +81,7 @@ def view_with_outlines(paths, outlines, margin=10.0):
     xy = xy[np.isfinite(xy).all(axis=1)]
     low, high = xy.min(axis=0), xy.max(axis=0)
     reach = 0.25 * np.linalg.norm(high - low)
-    return view_around(xy, *[np.clip(o, low - reach, high + reach) for o in outlines], margin=margin)
+    return view_around(xy, *[np.clip(o, low - reach, high + reach) for o in outlines], margin=10.0)
 
 
 def _widened(x0, x1, y0, y1):
@@ -173,8 +177,7 @@ def draw_landmarks(axes, points, method, **changes):
 def position_outlines(trajectory, count=12):
     """(count, n, 2) m, 95 % ellipses of the position at frames evenly spread from the first to the last."""
     frames = np.unique(np.linspace(0, len(trajectory.times) - 1, count).astype(int))
-    return style.ellipse_points(trajectory.world_T_imu[frames, :2, 3],
-                                position_covariance(trajectory)[frames, :2, :2])
+    return style.ellipse_points(trajectory.world_T_imu[frames, :2, 3], position_covariance(trajectory)[frames, :2, :2])
 
 
 def draw_position_ellipses(axes, trajectory, method, count=12):
@@ -191,8 +194,7 @@ def draw_ellipses(axes, means, covariances, colour, label="95 % ellipses"):
     Returns the LineCollection.
     """
     outlines = style.ellipse_points(means[:, :2], covariances[:, :2, :2])
-    return axes.add_collection(LineCollection(outlines, colors=colour, linewidths=0.9, label=label),
-                               autolim=False)
+    return axes.add_collection(LineCollection(outlines, colors=colour, linewidths=0.9, label=label), autolim=False)
 
 
 def draw_inset(axes, centre, half, place, title):
@@ -228,38 +230,18 @@ def trajectories(drive, estimates, title=""):
     return finish(figure, title)
 
 
-@style.styled
-def heading_band(drive, trajectory, method="dead_reckoning"):
-    """How wrong the heading is, and how wrong it claims to be: error over time and a 95 % band.
-
-    drive : Drive. trajectory : Trajectory. method : key of `style.COLOURS`. Without truth the band is drawn
-    around zero and nothing is known about the error. Returns a Figure.
-    """
-    t = trajectory.times - trajectory.times[0]
-    band = np.degrees(TWO_SIDED_95 * heading_sigma(trajectory))
-    figure, axes = new_figure()
-    axes.fill_between(t, -band, band, color=style.COLOURS[method], alpha=0.25, linewidth=0,
-                      label="95 % band claimed")
-    axes.set(xlabel="time since start (s)", ylabel="heading error (°)", xlim=(0, t[-1] or 1))
-    name = style.LABELS[method][0].upper() + style.LABELS[method][1:]
-    if not drive.has_truth:
-        return finish(figure, f"{name} claims its heading to ±{band[-1]:.2g}° at the end")
-    error = np.degrees(heading_error(drive.true_world_T_imu, trajectory.world_T_imu))
-    axes.plot(t, error, color=style.COLOURS[method], label="estimated minus true heading")
-    known = np.isfinite(error)
-    share = 100 * np.mean(np.abs(error[known]) <= band[known])
-    claim, off = band[known][-1], abs(error[known][-1])
-    return finish(figure, f"{name} claims its heading to ±{claim:.2g}° at the end and is {off:.2g}° off: "
-                          f"inside the 95 % band in {share:.0f} % of frames")
-
-
 def heading_error(true_world_T_imu, world_T_imu):
     """(...) rad in (-pi, pi], estimated minus true heading; NaN where there is no truth."""
     return heading(world_T_imu @ se3.inverse(true_world_T_imu))
 
 
-def new_image():
-    """Figure and axes that are the left camera's image, px; v points down."""
-    figure, axes = new_figure(height=1.75)
-    axes.set(xlim=(0, 1241), ylim=(376, 0), aspect="equal", xlabel="u (px)", ylabel="v (px)")
-    return figure, axes
+def over_time(times, lines, ylabel, title, **scales):
+    """Numbers through time. lines : {key of `style.COLOURS`: (T,)}. Returns a Figure.
+
+    scales : for `matplotlib.axes.Axes.set`.
+    """
+    figure, axes = new_figure(2.6)
+    for name, values in lines.items():
+        axes.plot(times - times[0], values, **style.line(name))
+    axes.set(xlabel="time since start (s)", ylabel=ylabel, xlim=(0, times[-1] - times[0]), **scales)
+    return finish(figure, title)

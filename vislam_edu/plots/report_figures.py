@@ -83,6 +83,23 @@ def all_landmarks(drive, dead_reckoning, initial, mapped, slam):
     return _several_maps(drive, maps, paths, title, moved=("mapping", method))
 
 
+@style.styled
+def batch(result, world_T_imu):
+    """Dead reckoning, the filter and the batch estimate (T, 4, 4) on one map. result : `pipeline.Result`."""
+    method = result.slam.method
+    paths = {"dead_reckoning": result.dead_reckoning.world_T_imu, method: result.slam.trajectory.world_T_imu,
+             "batch": world_T_imu}
+    view = [T[:, :3, 3] for T in paths.values()]
+    if result.drive.has_truth:
+        view.append(result.drive.true_world_T_imu[:, :3, 3])
+    figure, axes = drawing.new_map(drawing.view_around(*view))
+    drawing.draw_truth(axes, result.drive)
+    for name, poses in paths.items():
+        drawing.draw_trajectory(axes, poses, name)
+    apart = np.linalg.norm(world_T_imu[:, :3, 3] - result.slam.trajectory.world_T_imu[:, :3, 3], axis=-1)
+    return drawing.finish(figure, f"The batch estimate and the filter are {apart.mean():.2f} m apart on average")
+
+
 FIGURES = {  # name of the file: the figure of a `pipeline.Result`
     "fig1_initial_trajectory": lambda r: initial_trajectory(r.drive, r.dead_reckoning),
     "fig2_initial_landmarks": lambda r: initial_landmarks(r.drive, r.dead_reckoning, r.initial),

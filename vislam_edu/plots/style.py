@@ -17,100 +17,37 @@ from .. import kalman
 
 COLOURS = {
     # who says it: trajectories and maps
-    "truth": "#000000",
-    "dead_reckoning": "#E0B040",
-    "mapping": "#3FA560",
-    "localize": "#882255",
-    "report": "#409DB0",
-    "slam": "#B5485E",
-    "invariant": "#004488",
-    "smoother": "#7A5FB0",
-    "batch": "#117744",
-    # what it is: pixels, innovations, verdicts
-    "measured": "#EE7733",
-    "predicted": "#0055AA",
-    "accepted": "#3FA560",
-    "rejected": "#CC3311",
-    "prior": "#8C8C8C",
-    "posterior": "#004488",
-    "expected": "#555555",  # a bound or the value an honest filter would show
-    "faded": "#B8B8B8",
-}
+    "truth": "#000000", "dead_reckoning": "#E0B040", "mapping": "#3FA560", "localize": "#882255", "report": "#409DB0",
+    "slam": "#B5485E", "invariant": "#004488", "smoother": "#7A5FB0", "batch": "#117744",
+    # what it is: pixels, innovations, verdicts; expected is a bound or the value an honest filter would show
+    "measured": "#EE7733", "predicted": "#0055AA", "accepted": "#3FA560", "rejected": "#CC3311", "prior": "#8C8C8C",
+    "posterior": "#004488", "expected": "#555555", "faded": "#B8B8B8"}
 
 # The same roles on a dark background: only those differ that would be too dark to see there.
-DARK = {
-    "truth": "#F0F0F0",
-    "localize": "#D070A0",
-    "slam": "#E07C90",
-    "invariant": "#6AA8FF",
-    "smoother": "#B09AE8",
-    "predicted": "#6AA8FF",
-    "rejected": "#FF6B50",
-    "prior": "#A0A0A0",
-    "posterior": "#6AA8FF",
-    "expected": "#B5B5B5",
-    "faded": "#606060",
-}
+DARK = {"truth": "#F0F0F0", "localize": "#D070A0", "slam": "#E07C90", "invariant": "#6AA8FF", "smoother": "#B09AE8",
+        "predicted": "#6AA8FF", "rejected": "#FF6B50", "prior": "#A0A0A0", "posterior": "#6AA8FF",
+        "expected": "#B5B5B5", "faded": "#606060"}
 
 # Ends and middle of a scale for numbers of both signs; zero is near the background, but painted.
-DIVERGING = {
-    "light": ("#053061", "#4393C3", "#FFFFFF", "#D6604D", "#67001F"),
-    "dark": ("#BFE0FF", "#3F8FD0", "#262626", "#D0603F", "#FFD2C0"),
-}
+DIVERGING = {"light": ("#053061", "#4393C3", "#FFFFFF", "#D6604D", "#67001F"),
+             "dark": ("#BFE0FF", "#3F8FD0", "#262626", "#D0603F", "#FFD2C0")}
 
-LINESTYLES = {
-    "truth": "-",
-    "dead_reckoning": (0, (1, 1)),
-    "mapping": "-.",
-    "localize": (0, (5, 1, 1, 1)),
-    "report": (0, (3, 1, 1, 1, 1, 1)),
-    "slam": "--",
-    "invariant": "-",
-    "smoother": (0, (8, 2)),
-    "batch": "-",
-    "measured": "none",
-    "predicted": "none",
-    "prior": "--",
-    "posterior": "-",
-    "expected": "--",
-}
+LINESTYLES = {"truth": "-", "dead_reckoning": (0, (1, 1)), "mapping": "-.", "localize": (0, (5, 1, 1, 1)),
+              "report": (0, (3, 1, 1, 1, 1, 1)), "slam": "--", "invariant": "-", "smoother": (0, (8, 2)), "batch": "-",
+              "measured": "none", "predicted": "none", "prior": "--", "posterior": "-", "expected": "--"}
 
-LABELS = {
-    "truth": "ground truth",
-    "dead_reckoning": "dead reckoning",
-    "mapping": "mapping EKF",
-    "localize": "odometry on a known map",
-    "report": "SLAM, the report's values",
-    "slam": "SLAM, right perturbation",
-    "invariant": "SLAM, right-invariant",
-    "smoother": "smoother",
-    "batch": "batch estimate",
-}
+LABELS = {"truth": "ground truth", "dead_reckoning": "dead reckoning", "mapping": "mapping EKF",
+          "localize": "odometry on a known map", "report": "SLAM, the report's values",
+          "slam": "SLAM, right perturbation", "invariant": "SLAM, right-invariant", "smoother": "smoother",
+          "batch": "batch estimate"}
 
 _RC: dict[Any, Any] = {
-    "figure.dpi": 100,
-    "savefig.dpi": 100,
-    "figure.figsize": (7.5, 4.5),
-    "font.size": 10,
-    "axes.titlesize": 11,
-    "axes.titlelocation": "left",
-    "axes.labelsize": 10,
-    "xtick.labelsize": 9,
-    "ytick.labelsize": 9,
-    "legend.fontsize": 9,
-    "legend.framealpha": 0.9,
-    "legend.edgecolor": "0.8",
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.grid": True,
-    "axes.axisbelow": True,
+    "figure.dpi": 100, "savefig.dpi": 100, "figure.figsize": (7.5, 4.5), "font.size": 10, "axes.titlesize": 11,
+    "axes.titlelocation": "left", "axes.labelsize": 10, "xtick.labelsize": 9, "ytick.labelsize": 9,
+    "legend.fontsize": 9, "legend.framealpha": 0.9, "legend.edgecolor": "0.8", "axes.spines.top": False,
+    "axes.spines.right": False, "axes.grid": True, "axes.axisbelow": True, "grid.color": "0.9", "grid.linewidth": 0.8,
     "axes.formatter.min_exponent": 6,  # on logarithmic scales 100, not 10², whose exponent is too small to read
-    "grid.color": "0.9",
-    "grid.linewidth": 0.8,
-    "lines.linewidth": 1.6,
-    "lines.markersize": 4,
-    "image.cmap": "cividis",
-}
+    "lines.linewidth": 1.6, "lines.markersize": 4, "image.cmap": "cividis"}
 
 # For savefig: the name of matplotlib's version would make files differ that show the same.
 PNG: dict[str, Any] = {"metadata": {"Software": None}}
@@ -118,8 +55,7 @@ PNG: dict[str, Any] = {"metadata": {"Software": None}}
 
 def both_themes() -> dict[str, dict[str, Any]]:
     """The colours of the series on a light and on a dark background, for what is drawn outside of Python."""
-    return {"light": {**COLOURS, "scale": DIVERGING["light"]},
-            "dark": {**COLOURS, **DARK, "scale": DIVERGING["dark"]}}
+    return {"light": {**COLOURS, "scale": DIVERGING["light"]}, "dark": {**COLOURS, **DARK, "scale": DIVERGING["dark"]}}
 
 
 def use():

@@ -4,6 +4,8 @@ import inspect
 import re
 import textwrap
 
+__all__ = ["on_a_page", "show_source", "table", "two_digits"]
+
 PAGE = 100  # characters of a line that JupyterLab shows whole
 
 

@@ -31,25 +31,6 @@ def imu_T_cameras(reading: str, left: np.ndarray, right: np.ndarray) -> np.ndarr
     return both @ REGULAR_T_OPTICAL if "regular" in reading else both
 
 
-def rectification(K_left: np.ndarray, K_right: np.ndarray, left_T_right: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """How two cameras must turn about their centres to be parallel, and where their pixels then are; exact.
-
-    K_left, K_right (3, 3) px; left_T_right (4, 4). Returns the rotation left_R_rectified (3, 3) and the homographies
-    (2, 3, 3) that take [u, v, 1] of the left and of the right image to those of a pair with K_left and the baseline
-    |p|; the cameras look as `lens.parallel` says.
-    """
-    rectified_R_left = lens.parallel(left_T_right)
-    return rectified_R_left.T, np.stack([K_left @ rectified_R_left @ np.linalg.inv(K_left),
-                                         K_left @ rectified_R_left @ left_T_right[:3, :3] @ np.linalg.inv(K_right)])
-
-
-def warped(pixels: np.ndarray, homographies: np.ndarray) -> np.ndarray:
-    """Stereo pixels (N, 4) after a homography (2, 3, 3) of each image."""
-    uv = np.stack([pixels[:, :2], pixels[:, 2:]])
-    q = np.concatenate([uv, np.ones((*uv.shape[:2], 1))], axis=-1) @ homographies.mT
-    return np.concatenate(list(q[..., :2] / q[..., 2:]), axis=-1)
-
-
 def mounted(drive: Drive, K_right: np.ndarray, left: np.ndarray, right: np.ndarray, forced: str | None = None) -> Drive:
     """The drive with both cameras where the extrinsics put them, its pixels rectified where they are not yet.
 
@@ -118,16 +99,15 @@ def prediction_error(drive: Drive) -> tuple[float, float]:
 def _with_camera(drive: Drive, K_right: np.ndarray, imu_T_left: np.ndarray, left_T_right: np.ndarray) -> Drive:
     """Pixels are rectified unless one K and rows that agree say that they are already."""
     K = drive.camera.K
-    left_R_cam, homographies = rectification(K, K_right, left_T_right)
-    pixels = warped(drive.pixels, homographies)
+    rig = lens.rectified(K, K_right, left_T_right, se3.inverse(imu_T_left))
+    pixels = rig.measurements(drive.pixels[:, :2], drive.pixels[:, 2:])
     one_K = np.allclose(K, K_right, rtol=1e-3)
     if one_K and not _row_difference(pixels) < _row_difference(drive.pixels) / 2:
         return drive.replace(camera=StereoCamera(K, left_T_right[0, 3], se3.inverse(imu_T_left)))
-    left_T_cam = se3.pose(left_R_cam, np.zeros(3))
-    camera = StereoCamera(K, float(np.linalg.norm(left_T_right[:3, 3])), se3.inverse(imu_T_left @ left_T_cam))
+    left_T_cam = se3.pose(rig.left.rectified_R_cam.T, np.zeros(3))
     said = (f"pixels rectified: cameras turned against each other by {_angle(left_T_right):.2f} degrees, "
-            f"{'one K' if one_K else 'two K, now the left one'}; the left camera turned by {_angle(left_T_cam):.2f}")
-    return drive.replace(camera=camera, pixels=pixels, left_T_cam=left_T_cam, history=(*drive.history, said))
+            f"{'one K' if one_K else 'two K, now their mean'}; the left camera turned by {_angle(left_T_cam):.2f}")
+    return drive.replace(camera=rig.camera, pixels=pixels, left_T_cam=left_T_cam, history=(*drive.history, said))
 
 
 def _beside(left_T_right: np.ndarray) -> bool:

@@ -24,9 +24,9 @@ import numpy as np
 
 from ..drive import DriveError
 from . import unpickling
+from .unpickling import StoredArray
 
 LARGEST = 3 << 29  # bytes of all arrays of a file together: dataset 10, the largest of the course, has 1.3e9
-PIECE = 1 << 20  # numbers read at a time
 _NOT_RECORDINGS = {  # first bytes of files that are met in place of a recording
     b"MATLAB": "a MATLAB file; read it with scipy.io.loadmat and store its arrays with numpy.savez",
     b"\x89HDF": "an HDF5 or MATLAB 7.3 file; store its arrays with numpy.savez",
@@ -80,21 +80,25 @@ class Fields:
 
     def empty(self, name):
         """Whether the file has nothing under this name: None, or a list or an array without an entry."""
-        if isinstance(self._mapping, _Members):
-            return False
-        return self._mapping[name] is None or np.size(self._mapping[name]) == 0
+        value = self._stored(name)
+        return value is None or 0 in (value.shape if isinstance(value, StoredArray) else np.shape(value))
+
+    def arrays(self, name):
+        """A list of `StoredArray`s. Raises DriveError for anything else."""
+        value = self._stored(self.key(name))
+        if not isinstance(value, list) or not all(isinstance(item, StoredArray) for item in value):
+            raise DriveError(f"{name}: expected a list of arrays")
+        return value
 
     def pieces(self, name):
         """Shape of an array of numbers, and its numbers a piece at a time, the last index running fastest.
 
-        None where it has to be read whole: it is in a pickle, in Fortran order, or holds something else.
+        None where it has to be read whole: it is in Fortran order, or holds something else.
         """
-        if not isinstance(self._mapping, _Members):
+        value = self._stored(self.key(name))
+        if not isinstance(value, StoredArray) or value.fortran or value.dtype.kind not in "fiu":
             return None
-        key = self.key(name)
-        with errors_name_field(name):
-            shape, fortran, dtype, pieces = self._mapping.pieces(key)
-        return None if fortran or dtype.kind not in "fiu" else (shape, _guarded(name, pieces))
+        return value.shape, _guarded(name, value.pieces())
 
     def number(self, name):
         """One number. Raises DriveError for several."""
@@ -103,9 +107,14 @@ class Fields:
             raise DriveError(f"{name}: shape {value.shape}, expected one number")
         return value.item()
 
-    def _read(self, name):
+    def _stored(self, name):
         with errors_name_field(name):
             return self._mapping[name]
+
+    def _read(self, name):
+        value = self._stored(name)
+        with errors_name_field(name):
+            return value.read() if isinstance(value, StoredArray) else value
 
 
 @contextmanager
@@ -150,22 +159,26 @@ def open_regular(path: Path) -> BinaryIO:
 
 @contextmanager
 def open_fields(path):
-    """The fields of an npz, of a .npy that holds a pickled dictionary, or of a bare pickle of one."""
+    """`fields_of` a file that is open as long as the context lasts."""
     with open_regular(path) as file:
-        start = file.read(64).lstrip(b"\xef\xbb\xbf \t\r\n")
-        file.seek(0)
-        if start.startswith((b"\x93NUMPY", b"\x80")):
-            yield Fields(_pickled_dictionary(file, bare=start[:1] == b"\x80"))
-            return
-        for first, what in _NOT_RECORDINGS.items():
-            if start.startswith(first):
-                raise DriveError(f"is {what}")
-        try:
-            archive = zipfile.ZipFile(file)
-        except Exception:  # a damaged archive can raise anything
-            raise DriveError("neither an npz nor a npy file, or cut short") from None
-        with archive:
-            yield Fields(_Members(archive))
+        yield fields_of(file)
+
+
+def fields_of(file: BinaryIO) -> Fields:
+    """The fields of an npz, of a .npy that holds a pickled dictionary, or of a bare pickle of one; read when used."""
+    start = file.read(64).lstrip(b"\xef\xbb\xbf \t\r\n")
+    file.seek(0)
+    if start.startswith((b"\x93NUMPY", b"\x80")):
+        return Fields(_pickled_dictionary(file, bare=start[:1] == b"\x80"))
+    for first, what in _NOT_RECORDINGS.items():
+        if start.startswith(first):
+            raise DriveError(f"is {what}")
+    try:
+        return Fields(_Members(zipfile.ZipFile(file)))
+    except DriveError:
+        raise
+    except Exception:  # a damaged archive can raise anything
+        raise DriveError("neither an npz nor a npy file, or cut short") from None
 
 
 class _Members(Mapping):
@@ -188,16 +201,7 @@ class _Members(Mapping):
     def __len__(self) -> int:
         return len(self.infos)
 
-    def __getitem__(self, name: str) -> np.ndarray:
-        shape, fortran, dtype, pieces = self.pieces(name)
-        array, start = np.empty(prod(shape), dtype), 0
-        for piece in pieces:
-            array[start:start + len(piece)] = piece
-            start += len(piece)
-        return array.reshape(shape, order="F" if fortran else "C")
-
-    def pieces(self, name: str) -> tuple[tuple[int, ...], bool, np.dtype, Iterator[np.ndarray]]:
-        """Shape, whether in Fortran order and dtype of a member, and its numbers piece by piece, as they are stored."""
+    def __getitem__(self, name: str) -> StoredArray:
         info = self.infos[name]
         with self.archive.open(info) as member:
             shape, fortran, dtype = npy_header(member)
@@ -205,17 +209,12 @@ class _Members(Mapping):
         if dtype.kind not in "fiubUS" or not 0 <= prod(shape) * dtype.itemsize <= info.file_size:
             raise DriveError(f"holds {_kind(dtype)} of shape {shape} in {info.file_size} bytes, expected an array of "
                              "numbers")
-        return shape, fortran, dtype, self._read(info, start, dtype, prod(shape))
 
-    def _read(self, info: zipfile.ZipInfo, start: int, dtype: np.dtype, count: int) -> Iterator[np.ndarray]:
-        with self.archive.open(info) as member:
-            member.read(start)
-            while count:
-                raw = member.read(min(count, PIECE) * dtype.itemsize)
-                if not raw or len(raw) % dtype.itemsize:
-                    raise DriveError("is cut short")
-                yield np.frombuffer(raw, dtype)
-                count -= len(raw) // dtype.itemsize
+        def pieces() -> Iterator[np.ndarray]:
+            with self.archive.open(info) as member:
+                member.read(start)
+                yield from unpickling.numbers(member, dtype, prod(shape))
+        return StoredArray(shape, fortran, dtype, pieces)
 
 
 def npy_header(file) -> tuple[tuple[int, ...], bool, np.dtype]:

@@ -16,22 +16,22 @@ from PIL import Image
 from .. import lens, se3
 from ..drive import Drive, DriveError
 from ..stereo import StereoCamera
-from . import extrinsics, files, layouts, unpickling
+from . import extrinsics, files, layouts
 
 Pair = tuple[np.ndarray, np.ndarray]
-_FOLDERS = (("image_0", "image_1"), ("image_2", "image_3"), ("mav0/cam0/data", "mav0/cam1/data"),
-            ("cam0/data", "cam1/data"), ("left", "right"))
+_FOLDERS = (("image_0", "image_1"), ("image_2", "image_3"), ("image_00", "image_01"), ("image_02", "image_03"),
+            ("mav0/cam0", "mav0/cam1"), ("cam0", "cam1"), ("left", "right"))  # the images in them, or in their data/
 _SUFFIXES = {".png", ".jpg", ".jpeg", ".bmp", ".pgm", ".tif", ".tiff"}
 
 
 class Pairs:
     """Left and right images by number, grey, (h, w), and their times, (n,) s, where the files say them.
 
-    readers : of each pair, two functions that read its images.
+    readers : of each pair, two functions that read its images. first : KITTI's number of the left camera.
     """
 
-    def __init__(self, readers: Sequence[tuple[Callable, Callable]], times: np.ndarray | None) -> None:
-        self.readers, self.times = readers, times
+    def __init__(self, readers: Sequence[tuple[Callable, Callable]], times: np.ndarray | None, first: int = 0) -> None:
+        self.readers, self.times, self.first = readers, times, first
 
     def __len__(self) -> int:
         return len(self.readers)
@@ -54,19 +54,23 @@ def open_pairs(paths: Sequence[Path]) -> Pairs:
             if path.suffix.lower() in (".mp4", ".avi", ".mkv", ".mov"):
                 raise DriveError("a video of one camera; give both, left and right, or folders of images")
             return _course(path)
+        if len(paths) > 2:
+            raise DriveError(f"one of {len(paths)} paths; expected one folder, or two, left and right")
         if len(paths) == 2 and path.is_file():
             return _videos(*map(Path, paths))
         if len(paths) == 1:
             found = [pair for pair in _FOLDERS if all((path / side).is_dir() for side in pair)]
-            if not found:
-                raise DriveError("expected a folder with " + ", ".join(map(" and ".join, _FOLDERS)))
-            paths = [path / side for side in found[0]]
-        left, right = ({file.stem: file for file in sorted(Path(folder).iterdir()) if file.suffix.lower() in _SUFFIXES}
-                       for folder in paths)
+            if path.is_dir() and not found:
+                raise DriveError("expected a folder with " + ", or ".join(map(" and ".join, _FOLDERS)))
+            paths = [path / side for side in found[0]] if found else [path, path]
+        folders = [inner if (inner := Path(one) / "data").is_dir() else Path(one) for one in paths]
+        left, right = ({file.stem: file for file in sorted(folder.iterdir()) if file.suffix.lower() in _SUFFIXES}
+                       for folder in folders)
         names = [name for name in left if name in right]
         if not names:
-            raise DriveError(f"no image of {paths[0]} has one of the same name in {paths[1]}")
-        return Pairs([(_reader(left[name]), _reader(right[name])) for name in names], _times(Path(paths[0]), names))
+            raise DriveError(f"no image of {folders[0]} has one of the same name in {folders[1]}")
+        return Pairs([(_reader(left[name]), _reader(right[name])) for name in names], _times(folders[0], names),
+                     2 if Path(paths[0]).name in ("image_2", "image_02") else 0)
 
 
 def _reader(path: Path) -> Callable[[], np.ndarray]:
@@ -82,24 +86,26 @@ def _grey(image: np.ndarray) -> np.ndarray:
 
 
 def _times(folder: Path, names: list[str]) -> np.ndarray | None:
-    """From names of nanoseconds (EuRoC), or a times.txt beside or above the folder (KITTI)."""
+    """From names of nanoseconds (EuRoC), a times.txt in or above the folder, or dates in timestamps.txt (KITTI)."""
     if all(name.isdigit() and len(name) > 12 for name in names):
         return np.array([int(name) for name in names]) / 1e9
     for path in (folder / "times.txt", folder.parent / "times.txt"):
         if path.is_file():
             return layouts.rows_of_numbers(path)[0][:len(names), 0]
+    dates = folder.parent / "timestamps.txt"
+    if dates.is_file():
+        try:
+            lines = dates.read_text(encoding="utf-8").split("\n")
+            return np.array([line.strip() for line in lines[:len(names)]], "datetime64[ns]").astype(np.int64) / 1e9
+        except ValueError:
+            raise DriveError(f"{dates.name}: expected a date and a time in each line") from None
     return None
 
 
 def _course(path: Path) -> Pairs:
-    file = files.open_regular(path)  # stays open: images are read from it when they are asked for
-    if file.read(6) == b"\x93NUMPY":
-        file.seek(0)
-        files.npy_header(file)
-    else:
-        file.seek(0)
-    left, right = unpickling.load_lists(file, "cam_imgs_L", "cam_imgs_R")
-    return Pairs(list(zip(left, right)), None)
+    fields = files.fields_of(files.open_regular(path))  # stays open: images are read when they are asked for
+    left, right = (fields.arrays(key) for key in ("cam_imgs_L", "cam_imgs_R"))
+    return Pairs([(one.read, other.read) for one, other in zip(left, right)], None)
 
 
 def _videos(left: Path, right: Path) -> Pairs:
@@ -108,17 +114,16 @@ def _videos(left: Path, right: Path) -> Pairs:
     except ImportError:
         raise DriveError("reading videos needs an optional package: python -m pip install 'imageio[pyav]'; or unpack "
                          "them into two folders of images") from None
-    n = min(iio.improps(path, plugin="pyav").shape[0] for path in (left, right))
-    left_readers, right_readers = ([partial(iio.imread, path, index=k, plugin="pyav") for k in range(n)]
-                                   for path in (left, right))
-    return Pairs(list(zip(left_readers, right_readers)), None)
+    one, other = (iio.imopen(path, "r", plugin="pyav") for path in (left, right))  # stay open: no frame is read twice
+    n = min(one.properties().shape[0], other.properties().shape[0])
+    return Pairs([(partial(one.read, index=k), partial(other.read, index=k)) for k in range(n)], None)
 
 
-def open_calibration(paths: Sequence[Path]) -> tuple[lens.Rig, Callable[..., Drive]]:
+def open_calibration(paths: Sequence[Path], first: int = 0) -> tuple[lens.Rig, Callable[..., Drive]]:
     """A rig to track with, and a function `make(frames, times, twists, **fields)` that makes the `Drive`.
 
-    paths : two of EuRoC's yaml files, left and right; KITTI's calib.txt, whose IMU is then taken to sit in the camera
-    (x forward, y left, z up); or a recording of the course.
+    paths : two of EuRoC's yaml files, left and right; KITTI's calib.txt or calib_cam_to_cam.txt, whose IMU is then
+    taken to sit in the camera (x forward, y left, z up); or a recording of the course. first : see `Pairs`.
     """
     path = Path(paths[0])
     with files.errors_name(path):
@@ -127,8 +132,10 @@ def open_calibration(paths: Sequence[Path]) -> tuple[lens.Rig, Callable[..., Dri
             rig = lens.rectified(K0, K1, se3.inverse(T0) @ T1, se3.inverse(T0), d0, d1)
             said = "tracked from images, points undistorted and rectified"
         elif path.suffix == ".txt":
-            rig = _kitti(path)
+            rig = _kitti(path, first)
             said = "tracked from images; the IMU is taken to sit in the left camera, x forward, y left, z up"
+        elif path.suffix in (".yaml", ".yml"):
+            raise DriveError("the yaml of one camera; give two, left and right")
         else:
             return _course_calibration(path)
     return rig, _maker(rig, said)
@@ -149,16 +156,10 @@ def _course_calibration(path: Path) -> tuple[lens.Rig, Callable[..., Drive]]:
 
     with files.open_fields(path) as fields:
         if "K_l" not in fields:
-            K, baseline = fields.numbers("K"), fields.number("b" if "b" in fields else "baseline")
-            key = fields.key("imu_T_cam", "cam_T_imu")
-            T = fields.numbers(key)
-            camera = StereoCamera(K, baseline, se3.inverse(T) if key == "imu_T_cam" else T)
-            left, right, K_right = np.eye(4), np.eye(4), None
-        else:
-            K, K_right, left, right = (fields.numbers(key) for key in ("K_l", "K_r", "extL_T_imu", "extR_T_imu"))
-    if K_right is None:
-        rig = lens.Rig(lens.Lens(camera.K), lens.Lens(camera.K), camera)
-        return rig, _maker(rig, "tracked from images")
+            camera = layouts.camera_of(fields)
+            rig = lens.Rig(lens.Lens(camera.K), lens.Lens(camera.K), camera)
+            return rig, _maker(rig, "tracked from images")
+        K, K_right, left, right = (fields.numbers(key) for key in ("K_l", "K_r", "extL_T_imu", "extR_T_imu"))
     imu_T_left, left_T_right = extrinsics.first_that_fits(left, right)
     rig = lens.rectified(K, K_right, left_T_right, se3.inverse(imu_T_left))
 
@@ -169,12 +170,17 @@ def _course_calibration(path: Path) -> tuple[lens.Rig, Callable[..., Drive]]:
     return rig, make
 
 
-def _kitti(path: Path) -> lens.Rig:
-    lines = [line.split(":")[-1].split() for line in path.read_text(encoding="utf-8").splitlines() if line.strip()]
+def _kitti(path: Path, first: int) -> lens.Rig:
+    rows: dict[str | int, list[str]] = {}
+    for line in path.read_text(encoding="utf-8").splitlines():
+        key, _, numbers = line.rpartition(":")
+        rows[key or len(rows)] = numbers.split()
     try:
-        left, right = (np.array(words, float).reshape(3, 4) for words in lines[:2])
-    except ValueError:
-        raise DriveError("expected KITTI's calib.txt, whose first two lines, P0 and P1, hold 12 numbers each") from None
+        left, right = (np.array(rows.get(f"P{n}") or rows.get(f"P_rect_{n:02}") or rows[n], float).reshape(3, 4)
+                       for n in (first, first + 1))
+    except (KeyError, ValueError):
+        raise DriveError("expected KITTI's calib.txt or calib_cam_to_cam.txt, where P0 and P1 (of colour images P2 and "
+                         "P3) have 12 numbers each") from None
     K = left[:, :3]
     cam_T_imu = se3.inverse(extrinsics.REGULAR_T_OPTICAL)
     return lens.Rig(lens.Lens(K), lens.Lens(right[:, :3]),
@@ -204,15 +210,15 @@ def open_imu(path: Path) -> tuple[np.ndarray, np.ndarray]:
     with files.errors_name(path):
         if path.suffix in (".npy", ".npz"):
             with files.open_fields(path) as fields:
-                times = fields.numbers(fields.key("timestamps", "time_stamps", "times")).ravel().astype(float)
                 if "twists" in fields:
-                    return times, fields.numbers("twists")
-                v, w = (fields.numbers(fields.key(*keys)) for keys in (
-                    ("v_t", "linear_velocity"), ("w_t", "angular_velocity", "rotational_velocity")))
-            return times, np.hstack([one if one.shape == (times.size, 3) else one.T for one in (v, w)])
+                    return fields.numbers("times").astype(float), fields.numbers("twists")
+                return layouts.imu_of(fields)
         rows, _ = layouts.rows_of_numbers(path)
         if rows.shape[1] != 7:
             raise DriveError(f"{rows.shape[1]} numbers a row, expected 7: time, linear velocity, angular velocity")
+        if abs(np.linalg.norm(np.median(rows[:, 4:], axis=0)) - 9.8) < 1:
+            raise DriveError("holds gyro and accelerometer (9.8 m/s^2 in the last three columns); expected rows of "
+                             "time, linear velocity, angular velocity")
         return rows[:, 0] / (1e9 if rows[0, 0] > 1e14 else 1.0), rows[:, 1:]
 
 

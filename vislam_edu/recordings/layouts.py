@@ -49,9 +49,10 @@ def load(name, extrinsics: str | None = None) -> Drive:
         if "cam_imgs_L" in fields:
             raise DriveError("holds images, not a recording; `vislam_edu track` makes tracks from them")
         name = {"name": path.stem, "source": f"UCSD ECE276A, {path.name}"}
+        times, twists = imu_of(fields)
         if newest:
-            return _pickled_layout(fields, name, extrinsics)
-        return _npz_layout(fields, name)
+            return _pickled_layout(times, twists, fields, name, extrinsics)
+        return _dense_drive(times, twists, fields, camera_of(fields), name)
 
 
 def save(drive, path):
@@ -161,21 +162,22 @@ _OWN_IMU = ("times", "gyro", "accelerometer")
 _OWN_OPTIONAL = ("truth_world_T_cam", "truth_landmarks", "left_T_cam")
 
 
-def _npz_layout(fields, name):
-    times = _times(fields, "time_stamps")
-    angular = fields.key("angular_velocity", "rotational_velocity")
-    twists = np.hstack([_samples(fields, key, len(times)) for key in ("linear_velocity", angular)])
-    extrinsic = fields.key("imu_T_cam", "cam_T_imu")
-    cam_T_imu = _rigid(extrinsic, fields.numbers(extrinsic))
-    if extrinsic == "imu_T_cam":
-        cam_T_imu = se3.inverse(cam_T_imu)
-    camera = _camera(fields.numbers("K"), fields.number("b"), cam_T_imu)
-    return _dense_drive(times, twists, fields, camera, name)
+def imu_of(fields):
+    """Times (T,) and twists (T, 6) of a recording in one of the course's layouts."""
+    times = _times(fields, fields.key("time_stamps", "timestamps"))
+    keys = ("linear_velocity", "v_t"), ("angular_velocity", "rotational_velocity", "w_t")
+    return times, np.hstack([_samples(fields, fields.key(*names), len(times)) for names in keys])
 
 
-def _pickled_layout(fields, name, extrinsics):
-    times = _times(fields, "timestamps")
-    twists = np.hstack([_samples(fields, key, len(times)) for key in ("v_t", "w_t")])
+def camera_of(fields):
+    """The camera of a recording whose file holds one K, its pixels being rectified."""
+    key = fields.key("imu_T_cam", "cam_T_imu")
+    extrinsic = _rigid(key, fields.numbers(key))
+    return _camera(fields.numbers("K"), fields.number(fields.key("b", "baseline")),
+                   se3.inverse(extrinsic) if key == "imu_T_cam" else extrinsic)
+
+
+def _pickled_layout(times, twists, fields, name, extrinsics):
     cameras = [_camera(fields.numbers(key), 1.0, np.eye(4), key) for key in ("K_l", "K_r")]
     left, right = (_rigid(key, fields.numbers(key)) for key in ("extL_T_imu", "extR_T_imu"))
     drive = _dense_drive(times, twists, fields, cameras[0], name)
@@ -217,9 +219,8 @@ def _dense_drive(times, twists, fields, camera, name):
         raise DriveError("features: missing, so there are no tracks; if the recording has images only, "
                          "`vislam_edu track` makes tracks from them")
     in_pieces = fields.pieces("features")
-    drive = drive_from_pieces(times, twists, in_pieces, camera, **name) if in_pieces else None
-    if drive is None:  # in a layout that has to be read whole, or wrong somewhere: this says where
-        drive = drive_from_features(times, twists, fields.numbers("features"), camera, **name)
+    drive = (drive_from_pieces(times, twists, in_pieces[0], in_pieces[1], camera, **name) if in_pieces else
+             drive_from_features(times, twists, fields.numbers("features"), camera, **name))
     if not drive.landmark.size:
         raise DriveError("features: the recording is empty, no landmark is seen in any frame; if it has images, "
                          "`vislam_edu track` makes tracks from them")

@@ -4,8 +4,11 @@ A pickle is a program. Here it may call three names, and each stands for a small
 the file's bytes before dtype, shape and size have been checked. Only opcodes that such a pickle needs are known.
 """
 
+import io
+import os
 import pickle
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from math import prod
 from typing import Any, BinaryIO, ClassVar
 
@@ -14,6 +17,7 @@ import numpy as np
 from ..drive import DriveError
 
 _LONG = 1 << 16  # bytes; Python writes longer ones outside of a pickle's frames
+PIECE = 1 << 20  # numbers read at a time
 _OPCODES = b"".join([
     pickle.PROTO, pickle.FRAME, pickle.STOP, pickle.MARK, pickle.POP, pickle.POP_MARK, pickle.NONE, pickle.NEWTRUE,
     pickle.NEWFALSE, pickle.INT, pickle.BININT, pickle.BININT1, pickle.BININT2, pickle.LONG, pickle.LONG1, pickle.LONG4,
@@ -23,6 +27,34 @@ _OPCODES = b"".join([
     pickle.EMPTY_LIST, pickle.LIST, pickle.APPEND, pickle.APPENDS, pickle.EMPTY_DICT, pickle.DICT, pickle.SETITEM,
     pickle.SETITEMS, pickle.PUT, pickle.BINPUT, pickle.LONG_BINPUT, pickle.MEMOIZE, pickle.GET, pickle.BINGET,
     pickle.LONG_BINGET, pickle.GLOBAL, pickle.STACK_GLOBAL, pickle.REDUCE, pickle.BUILD])
+
+
+@dataclass(frozen=True, eq=False)
+class StoredArray:
+    """An array that stays in its file. pieces : reads its numbers in the order in which they are stored, (n,) each."""
+
+    shape: tuple[int, ...]
+    fortran: bool
+    dtype: np.dtype
+    pieces: Callable[[], Iterator[np.ndarray]]
+
+    def read(self) -> np.ndarray:
+        """The whole array. Raises DriveError where the file is cut short."""
+        array, start = np.empty(prod(self.shape), self.dtype), 0
+        for piece in self.pieces():
+            array[start:start + len(piece)] = piece
+            start += len(piece)
+        return array.reshape(self.shape, order="F" if self.fortran else "C")
+
+
+def numbers(file: Any, dtype: np.dtype, count: int) -> Iterator[np.ndarray]:
+    """The next `count` numbers of an open file, a piece at a time. Raises DriveError where there are fewer."""
+    while count:
+        raw = file.read(min(count, PIECE) * dtype.itemsize)
+        if not raw or len(raw) % dtype.itemsize:
+            raise DriveError("is cut short")
+        yield np.frombuffer(raw, dtype)
+        count -= len(raw) // dtype.itemsize
 
 
 class _Dtype:
@@ -40,14 +72,14 @@ class _Dtype:
 
 
 class _Array:
-    """Stands for `numpy.ndarray`: what the file says of an array, made into one by `to_numpy`."""
+    """Stands for `numpy.ndarray`: what the file says of an array."""
 
     state: tuple
 
     def __setstate__(self, state: tuple) -> None:
         self.state = state
 
-    def to_numpy(self) -> Any:
+    def stored(self) -> StoredArray | list:
         """The array, or the list of its objects. Raises DriveError where shape, type and bytes do not fit."""
         _, shape, dtype, fortran, data = self.state
         if not isinstance(dtype, _Dtype):
@@ -55,12 +87,25 @@ class _Array:
         if dtype.code[0] == "O":
             return data if isinstance(data, list) else []
         kind = np.dtype(dtype.order.replace("|", "=") + dtype.code)
-        size = prod(shape) * kind.itemsize
         raw = data.encode("latin1") if isinstance(data, str) else data  # as Python 2 wrote it
-        raw = raw.read() if isinstance(raw, _Stored) else raw
-        if not all(isinstance(n, int) and n >= 0 for n in shape) or not isinstance(raw, bytes) or len(raw) != size:
+        raw = _InFile(io.BytesIO(raw), 0, len(raw)) if isinstance(raw, bytes) else raw
+        if (not all(isinstance(n, int) and n >= 0 for n in shape) or not isinstance(raw, _InFile)
+                or raw.size != prod(shape) * kind.itemsize):
             raise DriveError(f"its pickle holds an array of shape {shape} whose bytes do not fit")
-        return np.frombuffer(raw, kind).reshape(shape, order="F" if fortran else "C")
+
+        def pieces() -> Iterator[np.ndarray]:
+            raw.file.seek(raw.start)
+            return numbers(raw.file, kind, prod(shape))
+        return StoredArray(shape, fortran, kind, pieces)
+
+
+@dataclass(frozen=True)
+class _InFile:
+    """Bytes that stay in the file until they are asked for."""
+
+    file: BinaryIO
+    start: int
+    size: int
 
 
 def _reconstruct(*_: Any) -> _Array:
@@ -70,7 +115,7 @@ def _reconstruct(*_: Any) -> _Array:
 def _scalar(dtype: _Dtype, raw: Any) -> Any:
     array = _Array()
     array.state = (1, (), dtype, False, raw)
-    return array.to_numpy()
+    return _plain(array)
 
 
 # numpy moved its core from numpy.core to numpy._core in version 2; files of both exist
@@ -83,10 +128,17 @@ _build = pickle._Unpickler.dispatch[pickle.BUILD[0]]
 
 
 class _Unpickler(pickle._Unpickler):
-    """The pure Python unpickler, whose memo is a dictionary: an index of 2^30 in a file costs one entry, not 8 GB."""
+    """The pure Python unpickler, whose memo is a dictionary: an index of 2^30 in a file costs one entry, not 8 GB.
+
+    Long bytes stay in the file: ten thousand images, or the course's largest array, take no memory.
+    """
 
     dispatch: ClassVar[Any] = {code: work for code, work in pickle._Unpickler.dispatch.items()
                                if code in _OPCODES}
+
+    def __init__(self, file: BinaryIO) -> None:
+        super().__init__(file, encoding="latin1")
+        self.file, self.end = file, os.fstat(file.fileno()).st_size
 
     def find_class(self, module: str, name: str) -> Any:
         try:
@@ -100,65 +152,35 @@ class _Unpickler(pickle._Unpickler):
             raise DriveError("its pickle changes something that is no array; nothing of it was run")
         _build(self)  # type: ignore[arg-type]
 
-    dispatch[pickle.BUILD[0]] = load_build
-
-
-class _Stored:
-    """Bytes that stay in the file until they are read."""
-
-    def __init__(self, file: BinaryIO, size: int) -> None:
-        self.file, self.start, self.size = file, file.tell(), size
-        file.seek(size, 1)
-
-    def read(self) -> bytes:
-        """The bytes, fewer where the file is cut short."""
-        self.file.seek(self.start)
-        return self.file.read(self.size)
-
-
-class _Lazy(_Unpickler):
-    """Leaves long bytes in the file: a list of ten thousand images takes no memory."""
-
-    dispatch: ClassVar[Any] = dict(_Unpickler.dispatch)
-
-    def __init__(self, file: BinaryIO) -> None:
-        super().__init__(file, encoding="latin1")
-        self.file = file
-
-    def _long_bytes(self, size: int) -> None:
-        in_a_frame = vars(self)["_unframer"].current_frame is not None
-        short = in_a_frame or size < _LONG
-        self.append(self.read(size) if short else _Stored(self.file, size))  # type: ignore[attr-defined]
-
     def load_binbytes(self) -> None:
         self._long_bytes(int.from_bytes(self.read(4), "little"))  # type: ignore[attr-defined]
 
     def load_binbytes8(self) -> None:
         self._long_bytes(int.from_bytes(self.read(8), "little"))  # type: ignore[attr-defined]
 
+    def _long_bytes(self, size: int) -> None:
+        if size < _LONG or vars(self)["_unframer"].current_frame is not None:
+            self.append(self.read(size))  # type: ignore[attr-defined]
+            return
+        start = self.file.tell()
+        if start + size > self.end:
+            raise EOFError("bytes end before they should")
+        self.file.seek(size, 1)
+        self.append(_InFile(self.file, start, size))  # type: ignore[attr-defined]
+
+    dispatch[pickle.BUILD[0]] = load_build
     dispatch[pickle.BINBYTES[0]] = load_binbytes
     dispatch[pickle.BINBYTES8[0]] = load_binbytes8
 
 
-def load_lists(file: BinaryIO, *keys: str) -> list[list[Callable[[], np.ndarray]]]:
-    """Lists of arrays of a pickled dictionary, each array a function that reads it. Raises DriveError."""
-    try:
-        value = _Lazy(file).load()
-        value = value.to_numpy() if isinstance(value, _Array) else value
-        value = value[0] if isinstance(value, list) and len(value) == 1 else value
-        lists = [value[key].to_numpy() if isinstance(value[key], _Array) else value[key] for key in keys]
-        return [[one.to_numpy for one in items] for items in lists]
-    except DriveError:
-        raise
-    except Exception as error:
-        raise DriveError(f"expected a pickled dictionary with lists of arrays {' and '.join(keys)} "
-                         f"({type(error).__name__}: {error})") from None
-
-
 def load(file: BinaryIO) -> Any:
-    """What the pickle holds, arrays made. Raises DriveError."""
+    """What the pickle holds, numbers as `StoredArray`s, which the file must stay open for. Raises DriveError."""
     try:
-        return _plain(_Unpickler(file, encoding="latin1").load())
+        value = _plain(_Unpickler(file).load())
+        if not isinstance(value, dict):
+            return value
+        made = {key: _plain(item) for key, item in value.items()}
+        return {key: list(map(_plain, item)) if isinstance(item, list) else item for key, item in made.items()}
     except DriveError:
         raise
     except Exception as error:  # a damaged pickle can raise anything
@@ -166,10 +188,9 @@ def load(file: BinaryIO) -> Any:
 
 
 def _plain(value: Any) -> Any:
-    """The value with its arrays made: an array of one object is that object, a dictionary that of its values."""
-    if isinstance(value, _Array):
-        array = value.to_numpy()
-        return _plain(array[0]) if isinstance(array, list) and len(array) == 1 else array
-    if isinstance(value, dict):
-        return {key: _plain(item) if isinstance(item, _Array) else item for key, item in value.items()}
+    """What stands in the pickle for an array made into it; an array of one object is that object."""
+    while isinstance(value, _Array):
+        value = value.stored()
+        if isinstance(value, list) and len(value) == 1:
+            value = value[0]
     return value

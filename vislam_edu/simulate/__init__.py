@@ -4,16 +4,16 @@ Here lives everything that makes a `Drive` instead of reading one. Nothing here 
 """
 
 from .drives import (
-    IMAGE_SIZE,
-    add_noise,
-    along,
-    first_steps,
-    kitti_camera,
-    perfect_street_loop,
-    places,
-    returning_loop,
-    street_loop,
-    street_loop_data,
+                     IMAGE_SIZE,
+                     add_noise,
+                     along,
+                     first_steps,
+                     kitti_camera,
+                     perfect_street_loop,
+                     places,
+                     returning_loop,
+                     street_loop,
+                     street_loop_data,
 )
 from .inertial import SmoothPath, inertial_loop, measure, perfect_samples
 

@@ -4,9 +4,8 @@
 spoils the sensors, `street_loop` does both. Every random draw comes from the seed, and road, landmarks, IMU
 noise and pixel noise each have a stream of their own: another noise leaves the geometry alone.
 
-The defaults resemble KITTI and the report's recordings: the camera, 10 m/s, about 60 landmarks in view,
-tracks of 5 to 100 frames that never come back, new ones born in bursts because a tracker looks for corners
-only now and then.
+The defaults resemble KITTI and the report's recordings: the camera, 10 m/s, about 60 landmarks in view, tracks of 5 to
+100 frames that never come back, new ones born in bursts because a tracker looks for corners only now and then.
 
 `python -m vislam_edu.simulate.drives [directory]` writes the two drives that the notebooks use.
 """
@@ -121,50 +120,20 @@ def _tracks(rng, world_T_imu, camera, *, visible, life, mean_life, redetect_ever
 # --- drives -------------------------------------------------------------------------------------------------
 
 
-def perfect_street_loop(
-    seed=0,
-    *,
-    frames=500,
-    tau=0.1,
-    jitter=0.0005,
-    speed=10.0,
-    loop_length=None,
-    hills=1.0,
-    visible=60,
-    life=(5, 100),
-    mean_life=50.0,
-    redetect_every=6,
-    depth=(5.0, 120.0),
-    nearest=NEAREST,
-    lane_change=0.0,
-    returning=0.0,
-    camera=None,
-    image_size=IMAGE_SIZE,
-    name="street loop",
-):
+def perfect_street_loop(seed=0, *, frames=500, tau=0.1, jitter=0.0005, speed=10.0, loop_length=None, hills=1.0,
+                        life=(5, 100), lane_change=0.0, name="street loop", **tracks):
     """A noise-free `Drive` around a street loop, with ground truth.
 
     frames, tau, jitter : number of frames, mean time between them (s), and its uniform variation (+- s).
     speed : mean speed, m/s; the car is slower in corners.
-    loop_length : m once around the loop; by default the drive's length, so the last frame is back where the
-        first one was, but at least 400 m. A loop longer than the drive is driven in part, a shorter one
-        several times.
+    loop_length : m once around the loop; by default the drive's length, so the last frame is back where the first one
+        was, but at least 400 m. A loop longer than the drive is driven in part, a shorter one several times.
     hills : RMS height of the hills, m.
-    visible : landmarks in view, on average.
-    life, mean_life : shortest and longest track, frames, and the mean of the random life; leaving the image
-        shortens it.
-    redetect_every : mean number of frames between two detections; only there are landmarks born.
-    depth : nearest and farthest depth at which a landmark is born, m.
-    nearest : m, a tracker loses what comes closer.
-    lane_change : m to the left from the second lap on. returning : share of the candidates at a detection that are
-        places seen before, where there are any in view. Such a place gets a new number and the same row of
-        `truth_landmarks`.
-    camera, image_size : by default `kitti_camera()` and its (width, height), px.
+    lane_change : m to the left from the second lap on. life, name, tracks : arguments of `along`.
 
-    The IMU sample k is the constant twist from frame k to k+1, exactly: `T[k+1] = T[k] exp(tau_k xi_k^)`. The
-    last sample, which no frame follows, repeats the one before. The world of the ground truth has x along the
-    first street and z up. Raises ValueError when an argument is out of range or the loop is too short for its
-    corners.
+    The IMU sample k is the constant twist from frame k to k+1, exactly: `T[k+1] = T[k] exp(tau_k xi_k^)`. The last
+    sample, which no frame follows, repeats the one before. The world of the ground truth has x along the first street
+    and z up. Raises ValueError when an argument is out of range or the loop is too short for its corners.
     """
     shortest, longest = life
     if not 1 <= shortest <= longest:
@@ -173,55 +142,50 @@ def perfect_street_loop(
         raise ValueError(f"frames must be at least 2 and at least the shortest life {shortest}, got {frames}")
     if not 0 <= 2 * jitter < tau:
         raise ValueError(f"jitter must be in [0, tau / 2), got jitter {jitter} s and tau {tau} s")
-    if speed <= 0 or visible < 1 or redetect_every < 1:
-        raise ValueError(
-            f"speed must be > 0, visible and redetect_every >= 1, "
-            f"got {speed} m/s, {visible} and {redetect_every}"
-        )
+    if speed <= 0:
+        raise ValueError(f"speed must be > 0, got {speed} m/s")
     times = tau * np.arange(frames) + _stream(seed, _TIMES).uniform(-jitter / 2, jitter / 2, frames)
     times -= times[0]
     loop_length = max(speed * times[-1], SHORTEST_LOOP) if loop_length is None else loop_length
     world_T_imu = streets.drive_along(_stream(seed, _ROAD), times, speed, loop_length, hills, lane_change)
-    return along(world_T_imu, times, seed, visible=visible, life=life, mean_life=mean_life,
-                 redetect_every=redetect_every, depth=depth, nearest=nearest, returning=returning, camera=camera,
-                 image_size=image_size, name=name)
+    return along(world_T_imu, times, seed, life=life, name=name, **tracks)
 
 
 def along(world_T_imu, times, seed=0, *, visible=60, life=(5, 100), mean_life=50.0, redetect_every=6,
           depth=(5.0, 120.0), nearest=NEAREST, returning=0.0, camera=None, image_size=IMAGE_SIZE, name="path"):
     """A noise-free `Drive` along any path: poses (T, 4, 4) at times (T,), s.
 
-    For the other arguments see `perfect_street_loop`. The world of the ground truth is that of the poses.
+    visible : landmarks in view, on average.
+    life, mean_life : shortest and longest track, frames, and the mean of the random life; leaving the image
+        shortens it.
+    redetect_every : mean number of frames between two detections; only there are landmarks born.
+    depth : nearest and farthest depth at which a landmark is born, m. nearest : m, a tracker loses what comes closer.
+    returning : share of the candidates at a detection that are places seen before, where there are any in view. Such a
+        place gets a new number and the same row of `truth_landmarks`.
+    camera, image_size : by default `kitti_camera()` and its (width, height), px.
+
+    The world of the ground truth is that of the poses. Raises ValueError for less than one landmark in view or less
+    than one frame between detections.
     """
+    if visible < 1 or redetect_every < 1:
+        raise ValueError(f"visible and redetect_every must be >= 1, got {visible} and {redetect_every}")
     camera = kitti_camera() if camera is None else camera
     step = se3.log(se3.inverse(world_T_imu[:-1]) @ world_T_imu[1:]) / np.diff(times)[:, None]
     landmarks, frame, landmark, pixels = _tracks(
         _stream(seed, _TRACKS), world_T_imu, camera, visible=visible, life=life, mean_life=mean_life,
         redetect_every=redetect_every, depth=depth, nearest=nearest, image_size=image_size,
-        returning=returning, rng_old=_stream(seed, _RETURNING),
-    )
-    return Drive(
-        times=times,
-        twists=np.concatenate([step, step[-1:]]),
-        camera=camera,
-        frame_start=np.searchsorted(frame, np.arange(len(times) + 1)),
-        landmark=landmark,
-        pixels=pixels,
-        n_landmarks=len(landmarks),
-        name=name,
-        source=f"simulated by vislam_edu.simulate, seed {seed}",
-        imu_sample="k",
-        truth_world_T_cam=world_T_imu @ camera.imu_T_cam,
-        truth_landmarks=landmarks,
-    )
+        returning=returning, rng_old=_stream(seed, _RETURNING))
+    return Drive(times=times, twists=np.concatenate([step, step[-1:]]), camera=camera,
+                 frame_start=np.searchsorted(frame, np.arange(len(times) + 1)), landmark=landmark, pixels=pixels,
+                 n_landmarks=len(landmarks), name=name, source=f"simulated by vislam_edu.simulate, seed {seed}",
+                 imu_sample="k", truth_world_T_cam=world_T_imu @ camera.imu_T_cam, truth_landmarks=landmarks)
 
 
 def add_noise(drive, seed=0, *, sigma_v=0.5, sigma_omega=0.05, sigma_px=0.7, gyro_bias=(0.0, 0.0, 0.0)):
     """The drive with white noise on every IMU sample and every pixel coordinate, and a constant gyro bias.
 
-    sigma_v m/s and sigma_omega rad/s per IMU sample and axis, sigma_px px, gyro_bias (3,) rad/s. The same
-    seed draws the same standard normal numbers whatever the sigmas are, so runs that differ in a sigma
-    compare like with like.
+    sigma_v m/s and sigma_omega rad/s per IMU sample and axis, sigma_px px, gyro_bias (3,) rad/s. The same seed draws
+    the same standard normal numbers whatever the sigmas are, so runs that differ in a sigma compare like with like.
     """
     scale = np.repeat([sigma_v, sigma_omega], 3)
     twists = drive.twists + scale * _stream(seed, _IMU).standard_normal(drive.twists.shape)
@@ -230,22 +194,17 @@ def add_noise(drive, seed=0, *, sigma_v=0.5, sigma_omega=0.05, sigma_px=0.7, gyr
     return drive.replace(twists=twists, pixels=pixels)
 
 
-def street_loop(
-    seed=0, *, frames=500, sigma_v=0.5, sigma_omega=0.05, sigma_px=0.7, gyro_bias=(0.0, 0.0, 0.0),
-    outlier_share=0.0, **geometry,
-):
+def street_loop(seed=0, *, frames=500, sigma_v=0.5, sigma_omega=0.05, sigma_px=0.7, gyro_bias=(0.0, 0.0, 0.0),
+                outlier_share=0.0, **geometry):
     """A `Drive` around a street loop with ground truth and noisy sensors.
 
-    The noise is that of `add_noise`; outlier_share in [0, 1] of the tracks are wrong as in
-    `faults.outlier_tracks` (the ground truth keeps the landmark they pretend to be); all else goes to
-    `perfect_street_loop`.
+    The noise is that of `add_noise`; outlier_share in [0, 1] of the tracks are wrong as in `faults.outlier_tracks` (the
+    ground truth keeps the landmark they pretend to be); all else goes to `perfect_street_loop`.
     """
     drive = perfect_street_loop(seed, frames=frames, **geometry)
     if outlier_share:
         drive = faults.outlier_tracks(drive, outlier_share, _stream(seed, _OUTLIERS))
-    return add_noise(
-        drive, seed, sigma_v=sigma_v, sigma_omega=sigma_omega, sigma_px=sigma_px, gyro_bias=gyro_bias
-    )
+    return add_noise(drive, seed, sigma_v=sigma_v, sigma_omega=sigma_omega, sigma_px=sigma_px, gyro_bias=gyro_bias)
 
 
 def street_loop_data():
@@ -255,10 +214,8 @@ def street_loop_data():
 
 def first_steps():
     """The drive in data/first_steps.npz: 60 frames into a corner, 42 landmarks, few enough to watch each."""
-    return street_loop(
-        seed=0, frames=60, speed=7.0, loop_length=500.0, visible=14, life=(9, 100), mean_life=100.0,
-        name="first steps",
-    )
+    return street_loop(seed=0, frames=60, speed=7.0, loop_length=500.0, visible=14, life=(9, 100), mean_life=100.0,
+                       name="first steps")
 
 
 def returning_loop(seed=0, *, laps=1.25, returning=0.7, **options):

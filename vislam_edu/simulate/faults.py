@@ -1,7 +1,6 @@
 """Faults of real recordings, planted on purpose in a good one, so that an audit can be seen to find them.
 
-Each function returns a new `Drive` and says in its `history` what was planted. The ground truth stays what it
-was.
+Each function returns a new `Drive` and says in its `history` what was planted. The ground truth stays what it was.
 """
 
 from dataclasses import replace
@@ -16,9 +15,8 @@ def _planted(drive, what, **fields):
 def flip_imu_axes(drive, signs=(1, -1, -1)):
     """The extrinsics belong to an IMU frame with some axes reversed; the samples stay as they were.
 
-    signs (3,) of +1 and -1 with product +1 (a reflection is no frame). (1, -1, -1), forward-right-down
-    extrinsics with forward-left-up samples, is the fault of the report's dataset 3. The cure is the same flip
-    again.
+    signs (3,) of +1 and -1 with product +1 (a reflection is no frame). (1, -1, -1), forward-right-down extrinsics with
+    forward-left-up samples, is the fault of the report's dataset 3. The cure is the same flip again.
     """
     signs = np.asarray(signs)
     if signs.shape != (3,) or not np.isin(signs, (-1, 1)).all() or signs.prod() != 1:
@@ -42,8 +40,7 @@ def add_gyro_bias(drive, bias):
     """Every angular velocity is off by the constant bias (3,), rad/s."""
     bias = np.broadcast_to(np.asarray(bias, float), 3)
     return _planted(
-        drive, f"gyro bias {bias.tolist()} rad/s", twists=drive.twists + np.concatenate([np.zeros(3), bias])
-    )
+        drive, f"gyro bias {bias.tolist()} rad/s", twists=drive.twists + np.concatenate([np.zeros(3), bias]))
 
 
 def delay_imu(drive, samples=1):
@@ -58,16 +55,14 @@ def delay_imu(drive, samples=1):
     return _planted(drive, f"IMU late by {samples} samples", twists=drive.twists[late])
 
 
-LENS_TERMS = {
-    "disparity": (False, lambda x, y: (1 + 0 * x, 0 * x)),
-    "disparity with u^2": (False, lambda x, y: (x**2, 0 * x)),
-    "disparity with v^2": (False, lambda x, y: (y**2, 0 * x)),
-    "row saddle": (False, lambda x, y: (0 * x, x * y)),
-    "focal length": (True, lambda x, y: (x, y)),
-    "radial": (True, lambda x, y: ((x**2 + y**2) * x, (x**2 + y**2) * y)),
-    "tangential along u": (True, lambda x, y: (3 * x**2 + y**2, 2 * x * y)),
-    "tangential along v": (True, lambda x, y: (2 * x * y, x**2 + 3 * y**2)),
-}
+LENS_TERMS = {"disparity": (False, lambda x, y: (1 + 0 * x, 0 * x)),
+              "disparity with u^2": (False, lambda x, y: (x**2, 0 * x)),
+              "disparity with v^2": (False, lambda x, y: (y**2, 0 * x)),
+              "row saddle": (False, lambda x, y: (0 * x, x * y)),
+              "focal length": (True, lambda x, y: (x, y)),
+              "radial": (True, lambda x, y: ((x**2 + y**2) * x, (x**2 + y**2) * y)),
+              "tangential along u": (True, lambda x, y: (3 * x**2 + y**2, 2 * x * y)),
+              "tangential along v": (True, lambda x, y: (2 * x * y, x**2 + 3 * y**2))}
 
 
 def lens_error(drive, **px):
@@ -109,14 +104,11 @@ def copy_frames(drive, frames=None):
     Afterwards it moves as the true track moves, but from the stale place: each copy leaves the track one
     increment behind for good, the increment's noise included. Those that are born at the frame are right.
 
-    frames : copy frames; by default every frame after the first where a landmark is born, as in the real
-        recordings.
+    frames : copy frames; by default every frame after the first where a landmark is born, as in the real recordings.
     """
     frames = np.unique(drive.first_seen[drive.first_seen > 0]) if frames is None else np.asarray(frames, int)
     if frames.size and not (frames.min() > 0 and frames.max() < drive.n_frames):
-        raise ValueError(
-            f"copy frames must lie in 1..{drive.n_frames - 1}, got {frames.min()}..{frames.max()}"
-        )
+        raise ValueError(f"copy frames must lie in 1..{drive.n_frames - 1}, got {frames.min()}..{frames.max()}")
     order = np.lexsort((drive.frame, drive.landmark))  # track by track
     frame, landmark, pixels = drive.frame[order], drive.landmark[order], drive.pixels[order]
 

@@ -18,10 +18,12 @@ from ..lens import Lens, Rig
 from ..stereo import StereoCamera
 from . import drives, streets
 
-SMALL = (400, 160)  # px, width and height
+SIZE = (400, 160)  # px, width and height
 _GROUND = -1.35  # m, of the IMU's height: the camera is 0.3 m above the IMU and 1.65 m above the road
 _WIDTH, _INNER_HEIGHT, _OUTER_HEIGHT = 9.0, 7.0, 10.0  # m, from the middle of the road to the walls, and their tops
 _TEXTURE, _NOISE = 20, 21  # streams of a seed
+_SIGMA_GREY = 2.0  # grey values, noise of every pixel
+_SPEED = 7.0  # m/s, on average
 
 
 def small_camera() -> StereoCamera:
@@ -34,14 +36,12 @@ def small_camera() -> StereoCamera:
 class StreetImages:
     """Pairs of images along a drive; a sequence, each pair rendered when it is asked for.
 
-    drive : exact poses and IMU, no tracks. size : (width, height) px. sigma_grey : noise of every pixel, grey values.
+    drive : exact poses and IMU, no tracks. seed : of texture and noise.
     low, high : (2,) m, corners of the road's rectangle; the block is inside, the outer walls around it.
     """
 
     drive: Drive
-    size: tuple[int, int]
     seed: int
-    sigma_grey: float
     low: np.ndarray
     high: np.ndarray
 
@@ -65,13 +65,13 @@ class StreetImages:
         images = []
         for side in (0.0, self.drive.camera.baseline):
             grey = self.render(k, side)[0]
-            grey = grey + self.sigma_grey * rng.standard_normal(grey.shape, np.float32)
+            grey = grey + _SIGMA_GREY * rng.standard_normal(grey.shape, np.float32)
             images.append(np.clip(np.rint(grey), 0, 255).astype(np.uint8))
         return images[0], images[1]
 
     def render(self, k: int, side: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
         """Grey values without noise and depths, m: (height, width), of a camera `side` m to the right."""
-        width, height = self.size
+        width, height = SIZE
         v, u = np.mgrid[:height, :width].astype(float)
         return self.look(k, np.stack([u, v], axis=-1), side)
 
@@ -94,18 +94,20 @@ class StreetImages:
         """Depths (...) along rays (..., 3) to ground, block or outer walls, inf where none, and the axis each faces."""
         with np.errstate(divide="ignore", invalid="ignore"):
             ground = np.where(ray[..., 2] < 0, (_GROUND - origin[2]) / ray[..., 2], np.inf)
-            slabs = [np.sort([(self.low + width - origin[:2]) / ray[..., :2],
-                              (self.high - width - origin[:2]) / ray[..., :2]], axis=0) for width in (_WIDTH, -_WIDTH)]
-        enter, leave = slabs[0][0].max(axis=-1), slabs[0][1].min(axis=-1)
+            (low, high), (outer_low, outer_high) = (
+                ((self.low + width - origin[:2]) / ray[..., :2], (self.high - width - origin[:2]) / ray[..., :2])
+                for width in (_WIDTH, -_WIDTH))
+        into, out_of, outer = np.minimum(low, high), np.maximum(low, high), np.maximum(outer_low, outer_high)
+        enter, leave = np.maximum(into[..., 0], into[..., 1]), np.minimum(out_of[..., 0], out_of[..., 1])
+        walls = np.minimum(outer[..., 0], outer[..., 1])
         block = np.where((enter < leave) & (enter > 0), enter, np.inf)
-        walls = slabs[1][1].min(axis=-1)
         candidates = [ground]
         for depth, top in ((block, _INNER_HEIGHT), (walls, _OUTER_HEIGHT)):
             up = origin[2] + np.where(np.isfinite(depth), depth, 0.0) * ray[..., 2]
             candidates.append(np.where(up < top, depth, np.inf))
-        axes = np.stack([np.full(ground.shape, 2), slabs[0][0].argmax(axis=-1), slabs[1][1].argmin(axis=-1)])
-        nearest = np.argmin(candidates, axis=0)
-        depth, axis = (np.take_along_axis(values, nearest[None], axis=0)[0] for values in (np.array(candidates), axes))
+        depth = np.minimum.reduce(candidates)
+        across = np.where(depth == candidates[1], into[..., 1] == enter, outer[..., 1] == walls)  # 1 where y is faced
+        axis = np.where(depth == ground, 2, across)
         return depth, axis
 
     @cached_property
@@ -121,25 +123,20 @@ class StreetImages:
         for octave in range(6):
             wave = 4.0 / 2**octave  # m
             weight = np.clip(wave / covers - 2.0, 0.0, 1.0)
-            cells = np.moveaxis(where * (8 / wave) + 91.7 * octave, -1, 0)
-            total += weight * ndimage.map_coordinates(self._octaves, cells, order=1, mode="grid-wrap")
+            seen = weight > 0
+            cells = (where[seen] * (8 / wave) + 91.7 * octave).T
+            total[seen] += weight[seen] * ndimage.map_coordinates(self._octaves, cells, order=1, mode="grid-wrap")
         return total / 2.0
 
 
-def street_images(seed: int = 0, *, frames: int = 100, tau: float = 0.1, speed: float = 7.0, sigma_grey: float = 2.0,
-                  camera: StereoCamera | None = None, size: tuple[int, int] = SMALL) -> StreetImages:
-    """Images along `frames` frames of a flat street loop of 400 m; the same seed gives the same ones.
-
-    tau : s between frames. speed : m/s, on average. sigma_grey : grey values. camera, size : by default
-    `small_camera()` and its (width, height), px.
-    """
-    camera = small_camera() if camera is None else camera
-    loop_length = max(drives.SHORTEST_LOOP, speed * tau * frames)
-    drive = drives.perfect_street_loop(seed, frames=frames, tau=tau, speed=speed, hills=0.0, camera=camera,
-                                       loop_length=loop_length, image_size=size, name="street images")
+def street_images(seed: int = 0, *, frames: int = 100) -> StreetImages:
+    """Images along `frames` frames (10 Hz) of a flat street loop of 400 m; the same seed gives the same ones."""
+    loop_length = max(drives.SHORTEST_LOOP, _SPEED * 0.1 * frames)
+    drive = drives.perfect_street_loop(seed, frames=frames, speed=_SPEED, hills=0.0, camera=small_camera(),
+                                       loop_length=loop_length, image_size=SIZE, name="street images")
     drive = drive.keep_landmarks(np.zeros(drive.n_landmarks, bool)).replace(truth_landmarks=None)
     lap = np.array(streets.centre_line(loop_length)[3:])
-    return StreetImages(drive, size, seed, sigma_grey, lap.min(axis=1), lap.max(axis=1))
+    return StreetImages(drive, seed, lap.min(axis=1), lap.max(axis=1))
 
 
 def with_true_landmarks(images: StreetImages, drive: Drive) -> Drive:

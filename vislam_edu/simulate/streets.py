@@ -55,10 +55,8 @@ class Streets:
         legs *= (self.length + len(legs) * (2 * tangent - CORNER_LENGTH)) / legs.sum()
         straights = legs - 2 * tangent
         if straights.min() < 0 or straights[0] < FIRST_CORNER:
-            raise ValueError(
-                f"a street loop of {self.length:.0f} m has no room for its {len(legs)} corners; "
-                "give a larger loop_length"
-            )
+            raise ValueError(f"a street loop of {self.length:.0f} m has no room for its {len(legs)} corners; "
+                             "give a larger loop_length")
         begin = np.cumsum(straights + CORNER_LENGTH) - CORNER_LENGTH
         return begin - begin[0] + FIRST_CORNER, signs
 

@@ -13,12 +13,10 @@ MOST = {"sigma_v": 100.0, "sigma_omega": 10.0, "sigma_px": 100.0}
 
 def unusable(result: Result) -> list[str]:
     """Names of the estimates whose numbers are not finite or whose covariances are not positive definite."""
-    estimates = {
-        "dead reckoning": (result.dead_reckoning.world_T_imu, result.dead_reckoning.covariance),
-        "the map on the poses of dead reckoning": _seen(result.mapped.map),
-        "the path": (result.slam.trajectory.world_T_imu, result.slam.trajectory.covariance),
-        "the map": _seen(result.slam.map),
-    }
+    estimates = {"dead reckoning": (result.dead_reckoning.world_T_imu, result.dead_reckoning.covariance),
+                 "the map on the poses of dead reckoning": _seen(result.mapped.map),
+                 "the path": (result.slam.trajectory.world_T_imu, result.slam.trajectory.covariance),
+                 "the map": _seen(result.slam.map)}
     return [name for name, (mean, covariance) in estimates.items()
             if not (np.isfinite(mean).all() and positive_definite(covariance))]
 

@@ -26,10 +26,8 @@ BORESIGHT, LEVER_ARM, START = np.radians(0.3), 0.2, np.radians(0.1)  # rad, m, r
 GAUGES = [("scale", 0), *[(name, axis) for name in ("boresight", "lever arm", "start") for axis in range(3)]]
 
 # px at one focal length from the centre of the image: the scatter that careful calibrations of one rig have
-LENS_PX = {
-    "disparity": 0.1, "disparity_with_u_2": 3.0, "disparity_with_v_2": 1.5, "focal_length": 2.0, "radial": 2.0,
-    "tangential_along_u": 1.5, "tangential_along_v": 0.7,
-}
+LENS_PX = {"disparity": 0.1, "disparity_with_u_2": 3.0, "disparity_with_v_2": 1.5, "focal_length": 2.0, "radial": 2.0,
+           "tangential_along_u": 1.5, "tangential_along_v": 0.7}
 
 
 def turned(world_T_imu, gauge):

@@ -1,8 +1,7 @@
 """Monte Carlo: does the truth lie where the filter says it does, drive after drive?
 
-One drive proves nothing, for a good filter is unlucky at times. So many drives are simulated, each with
-its own seed; the same filters run over each; and the squared errors are held against what the filters
-claimed.
+One drive proves nothing, for a good filter is unlucky at times. So many drives are simulated, each with its own seed;
+the same filters run over each; and the squared errors are held against what the filters claimed.
 
     make_drive = functools.partial(simulate.street_loop, frames=200)
     studies = monte_carlo(make_drive, standard_filters(Noise()), range(50), out="study")
@@ -62,13 +61,11 @@ def standard_filters(noise):
     inverse_depth       and with landmarks of inverse depth
     """
     as_report = {"process_frame": window_slam.as_report}
-    return {
-        "report_values": FilterConfig(Noise.from_report(), RightPerturbation(), as_report),
-        "report": FilterConfig(noise, RightPerturbation(), as_report),
-        "right_perturbation": FilterConfig(noise, RightPerturbation()),
-        "right_invariant": FilterConfig(noise, RightInvariant()),
-        "inverse_depth": FilterConfig(noise, InverseDepth()),
-    }
+    return {"report_values": FilterConfig(Noise.from_report(), RightPerturbation(), as_report),
+            "report": FilterConfig(noise, RightPerturbation(), as_report),
+            "right_perturbation": FilterConfig(noise, RightPerturbation()),
+            "right_invariant": FilterConfig(noise, RightInvariant()),
+            "inverse_depth": FilterConfig(noise, InverseDepth())}
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,14 +101,8 @@ def judge(drive, candidate, world_T_imu):
                                  **candidate.options), candidate.error_state)
     nees = metrics.pose_nees(candidate.error_state, true, run.world_T_imu, run.covariance)
     from_start = [se3.inverse(poses[0]) @ poses for poses in (true, run.world_T_imu)]
-    return {
-        "nees_pose": nees.pose,
-        "nees_rotation": nees.rotation,
-        "nees_position": nees.position,
-        "nis": run.mean_nis,
-        "error": metrics.position_errors(*from_start),
-        "error_world": run.errors(true),
-    }
+    return {"nees_pose": nees.pose, "nees_rotation": nees.rotation, "nees_position": nees.position,
+            "nis": run.mean_nis, "error": metrics.position_errors(*from_start), "error_world": run.errors(true)}
 
 
 def initial_pose(drive, candidate, seed):
@@ -131,8 +122,7 @@ def _one_seed(make_drive, filters, seed, path, study):
     if path is not None and path.exists():
         return _load(path, filters, study)
     drive = make_drive(seed)
-    runs = {name: judge(drive, candidate, initial_pose(drive, candidate, seed))
-            for name, candidate in filters.items()}
+    runs = {name: judge(drive, candidate, initial_pose(drive, candidate, seed)) for name, candidate in filters.items()}
     if path is not None:
         with files.replacing(path) as file:
             np.savez(file, study=study, **{f"{name}.{key}": value
@@ -160,8 +150,7 @@ def monte_carlo(make_drive, filters, seeds, out=None):
 
     make_drive : seed -> Drive with truth, all of one length; a function that a worker can import, or a
     functools.partial of one. filters : {name: FilterConfig}. seeds : iterable of int.
-    out : directory for one file per seed, made if need be; files of the same study that it holds are not
-    run again.
+    out : directory for one file per seed, made if need be; files of the same study that it holds are not run again.
     Returns {name: Study}.
     Raises ValueError when `out` holds runs of another study: what counts are make_drive, its arguments and
     the filters. A change of the package's own code is not noticed; take a new directory then.
@@ -211,16 +200,14 @@ def _figures(study, band) -> dict:
     runs = len(study.seeds)
     over_runs = study.nees_pose.mean(axis=0)
     of_runs = study.nees_pose.mean(axis=1)
-    return {
-        "nees_pose": float(of_runs.mean()),
-        "nees_pose_standard_error": float(of_runs.std(ddof=1) / np.sqrt(runs)) if runs > 1 else None,
-        "frames_in_band": float(np.mean((band[0] <= over_runs) & (over_runs <= band[1]))),
-        "nees_rotation": float(study.nees_rotation.mean()),
-        "nees_position": float(study.nees_position.mean()),
-        "nis": float(np.median(study.nis)),
-        "rmse_m": float(np.sqrt(np.mean(study.error**2))),
-        "rmse_world_m": float(np.sqrt(np.mean(study.error_world**2))),
-    }
+    return {"nees_pose": float(of_runs.mean()),
+            "nees_pose_standard_error": float(of_runs.std(ddof=1) / np.sqrt(runs)) if runs > 1 else None,
+            "frames_in_band": float(np.mean((band[0] <= over_runs) & (over_runs <= band[1]))),
+            "nees_rotation": float(study.nees_rotation.mean()),
+            "nees_position": float(study.nees_position.mean()),
+            "nis": float(np.median(study.nis)),
+            "rmse_m": float(np.sqrt(np.mean(study.error**2))),
+            "rmse_world_m": float(np.sqrt(np.mean(study.error_world**2)))}
 
 
 def format_summary(figures) -> str:
@@ -230,8 +217,7 @@ def format_summary(figures) -> str:
     names = [name for name, value in figures.items() if isinstance(value, dict)]
     width = max(map(len, names))
     lines = [" " * width + "".join(f"{title:>11}" for title in columns.values())]
-    lines += [f"{name:{width}}" + "".join(f"{_digits(figures[name][key]):>11}" for key in columns)
-              for name in names]
+    lines += [f"{name:{width}}" + "".join(f"{_digits(figures[name][key]):>11}" for key in columns) for name in names]
     low, high = figures["band_99"]
     lines.append(f"{figures['runs']} drives of {figures['frames']} frames; "
                  f"99 % band of the pose's NEES [{low:.2f}, {high:.2f}]")

@@ -13,7 +13,7 @@ from functools import partial
 
 import numpy as np
 
-from .. import batch, kalman, mapping, metrics, motion, odometry, window_slam
+from .. import batch, inertial, kalman, mapping, metrics, motion, odometry, window_slam
 from ..drive import Drive
 from ..error_state import RightPerturbation, world_landmark_covariance
 from ..mapping import MapBelief
@@ -105,6 +105,9 @@ def doubts(drive, slam, dead_reckoning, gate) -> list[str]:
     the IMU alone would. slam : Slam, dead_reckoning : Trajectory, both of the drive. gate : of the filter.
     """
     found = slam.warnings(gate)
+    if drive.imu is not None and not inertial.stands_still(drive):
+        found.append(f"the drive does not begin at rest: gravity, velocity and biases at its start were found from the "
+                     f"cameras' path over {inertial.ALIGN:g} s")
     if has_few_tracks(drive):
         found.append(f"{drive.visible.mean():.0f} tracks in view on average where a filter of this kind "
                      f"needs {FEW_TRACKS}: dead reckoning is the better path")
@@ -202,12 +205,19 @@ def run_pipeline(drive, noise, error_state=None, *, gate=0.99, min_disparity=1.0
     landmark waits for a better view. consider_calibration : whether to run the joint filter again with each knob of the
     calibration turned. lens_px : by how much, of the lenses, see `calibration.covariance`. progress : called as
     `progress(frames, total=, desc=, unit=)`, as tqdm is. options : further ones of `joint`, which is the only one of
-    the three filters that has these choices.
+    the three filters that has these choices. Of a drive with an accelerometer that is what moves the car, from
+    `inertial.initial` on; its truth is put into the world of the estimate, which has z up.
     """
-    dead_reckoning = odometry.dead_reckon(drive, noise)
+    if drive.imu is None:
+        dead_reckoning = odometry.dead_reckon(drive, noise)
+    else:
+        begin = inertial.initial(drive, noise)
+        dead_reckoning = inertial.dead_reckon(drive, noise, begin)
+        options["motion_model"] = partial(inertial.AccelerometerDriven, begin=begin)
+        drive = inertial.in_world_of_estimate(drive, dead_reckoning.world_T_imu)
     poses = dead_reckoning.world_T_imu
     initial = first_sight(drive, noise, poses, min_disparity)
-    steps = mapping.run(drive, noise, poses, mapping.as_report, gate=1, min_disparity=min_disparity)
+    steps = mapping.run(drive, noise, poses, mapping.report_prior, gate=1, min_disparity=min_disparity)
     mapped = collect_mapping(progress(steps, total=drive.n_frames, desc="mapping", unit="frame"))
     options = {"noise": noise, "error_state": error_state or RightPerturbation(), "gate": gate,
                "min_disparity": min_disparity, **options}

@@ -105,8 +105,8 @@ def attempt(steps: Iterable[Step], error_state: ErrorState | None = None) -> Run
             if not np.isfinite(step.posterior.world_T_imu).all():
                 raise np.linalg.LinAlgError("a pose is not a finite number")
             seen = step.innovation
-            kept.append((step.posterior.world_T_imu, step.posterior.pose_covariance, seen.ids, seen.residual, seen.nis,
-                         seen.accepted))
+            kept.append((step.posterior.world_T_imu, step.posterior.pose_covariance.copy(), seen.ids, seen.residual,
+                         seen.nis, seen.accepted))  # a view would keep the covariance of the whole window
     except (np.linalg.LinAlgError, ValueError) as error:
         problem = error
     poses, covariances, ids, residuals, nis, accepted = zip(*kept) if kept else [()] * 6

@@ -19,15 +19,15 @@ EXPLAINED = f"""metre: the IMU's speed, because its noise averages out and the s
     ({100 * PRIOR:.0f} % assumed) does not; the summary's `metre` is what the cameras' lengths were multiplied by"""
 
 
-def running(world_T_imu, drive, sigma_v, prior=PRIOR):
+def running(world_T_imu, drive, sigma_v):
     """(T,): at each frame the IMU's forward speed over the path's so far, from 1 at frame 0. Needs no future.
 
-    world_T_imu : (T, 4, 4). drive : Drive of T frames. sigma_v : m/s, of one IMU sample. prior : of the scale.
+    world_T_imu : (T, 4, 4). drive : Drive of T frames. sigma_v : m/s, of one IMU sample.
     With the speed u that the IMU measures and v that the path has, least squares with a prior at 1:
     g = (sum u v / sigma_v^2 + 1 / prior^2) / (sum v^2 / sigma_v^2 + 1 / prior^2).
     """
     along = se3.log(se3.inverse(world_T_imu[:-1]) @ world_T_imu[1:])[:, 0] / drive.taus
-    weight = (prior / max(sigma_v, 1e-3)) ** 2  # a perfect sensor would leave nothing to the prior
+    weight = (PRIOR / max(sigma_v, 1e-3)) ** 2  # a perfect sensor would leave nothing to the prior
     both = 1 + weight * np.cumsum(drive.step_twists[:, 0] * along)
     path = 1 + weight * np.cumsum(along**2)
     return np.concatenate([[1.0], both / path])

@@ -10,7 +10,12 @@
 
 const ARRAYS = { f4: Float32Array, i4: Int32Array, i2: Int16Array };
 const ONE = 32767; // int16 of a correlation of 1
-const SIGHT = 13; // numbers a measurement, see packing.py
+const ROW = { // numbers a row of each array, see LAYOUT in packing.py
+  time: 1, first: 1, ids: 1, landmark: 3, block: 3, axes: 3, pose: 4, inset: 14, sigma: 1, correlation: 1, sight: 2,
+  sight_ids: 1, sights: 13, path_first: 1, path: 2, path_block: 3, truth: 2, series: 1,
+};
+/** Row i of an array of a run, or rows i to end. */
+const rows = (run, name, i, end = i + 1) => run[name].subarray(ROW[name] * i, ROW[name] * end);
 const RADIUS = Math.sqrt(5.991464547107979); // of the 95 % ellipse, in sigmas: chi-square, 2 degrees of freedom
 
 /**
@@ -66,11 +71,11 @@ function bounds({ runs, truth }) {
     box.y0 = Math.min(box.y0, y); box.y1 = Math.max(box.y1, y);
   };
   const addAll = (a, n) => { for (let j = 0; a && j < a.length; j += n) add(a[j], a[j + 1]); };
-  if (truth.landmark) addAll(truth.landmark, 2);
+  if (truth.landmark) addAll(truth.landmark, ROW.truth);
   for (const run of runs) {
-    if (!truth.landmark) addAll(run.landmark, 3);
-    addAll(run.pose, 4);
-    addAll(run.path, 2);
+    if (!truth.landmark) addAll(run.landmark, ROW.landmark);
+    addAll(run.pose, ROW.pose);
+    addAll(run.path, ROW.path);
   }
   return box;
 }
@@ -94,9 +99,8 @@ function covarianceScale(runs) {
 function snapshot(run, i) {
   const a = run.first[i], b = run.first[i + 1];
   const shot = {
-    n: b - a, ids: run.ids.subarray(a, b), landmark: run.landmark.subarray(3 * a, 3 * b),
-    block: run.block.subarray(3 * a, 3 * b), axes: run.axes.subarray(3 * a, 3 * b),
-    pose: run.pose.subarray(4 * i, 4 * i + 4), inset: run.inset.subarray(14 * i, 14 * i + 14),
+    n: b - a, ids: rows(run, "ids", a, b), landmark: rows(run, "landmark", a, b), block: rows(run, "block", a, b),
+    axes: rows(run, "axes", a, b), pose: rows(run, "pose", i), inset: rows(run, "inset", i),
     born: run.born[i], retired: run.retired[i],
   };
   if (run.matrix) {
@@ -121,8 +125,9 @@ function covariance(shot, row, column) {
 function sights(run, i) {
   if (!run.sights) return [];
   const found = [];
-  for (let j = run.sight[2 * i]; j < run.sight[2 * i + 1]; j++) {
-    const v = run.sights.subarray(SIGHT * j, SIGHT * j + SIGHT);
+  const [first, end] = rows(run, "sight", i);
+  for (let j = first; j < end; j++) {
+    const v = rows(run, "sights", j);
     found.push({
       id: run.sight_ids[j], measured: [v[0], v[1]], predicted: [v[2], v[3]], projected: [v[4], v[5]],
       S: [v[6], v[7], v[8]], nis: v[9], accepted: v[10] > 0, pull: [v[11], v[12]],
@@ -349,7 +354,7 @@ function mapPlace(look, box, w, h, pose) {
 
 /** The estimated path up to snapshot i: its own, or the updated poses so far and the present one. */
 function pathUpTo(run, history, i) {
-  if (run.path) return { points: run.path.subarray(2 * run.path_first[i], 2 * run.path_first[i + 1]) };
+  if (run.path) return { points: rows(run, "path", run.path_first[i], run.path_first[i + 1]) };
   const points = [];
   for (let j = 0; j <= i; j++) {
     if (history.updated[j] || j === i) points.push(run.pose[4 * j], run.pose[4 * j + 1]);
@@ -364,7 +369,7 @@ function drawPathEllipses(ctx, run, look, X, Y, k, c) {
   ctx.strokeStyle = c.slam;
   ctx.lineWidth = 1;
   for (let j = b - 1; j >= a; j -= step) {
-    tracePath(ctx, X(run.path[2 * j]), Y(run.path[2 * j + 1]), ellipseOf(...run.path_block.subarray(3 * j, 3 * j + 3)),
+    tracePath(ctx, X(run.path[2 * j]), Y(run.path[2 * j + 1]), ellipseOf(...rows(run, "path_block", j)),
       k * look.magnify);
     ctx.stroke();
   }
@@ -759,7 +764,7 @@ function landmarkThroughTime(run, id) {
   const sigmas = [];
   for (let i = 0; i + 1 < run.first.length; i++) {
     const a = run.first[i], at = run.ids.subarray(a, run.first[i + 1]).indexOf(id);
-    sigmas.push(at < 0 ? null : [...run.axes.subarray(3 * (a + at), 3 * (a + at) + 3)]);
+    sigmas.push(at < 0 ? null : [...rows(run, "axes", a + at)]);
   }
   return { sigmas };
 }

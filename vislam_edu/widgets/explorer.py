@@ -12,6 +12,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from html import escape
 from pathlib import Path
+from string import Template
 from typing import Any
 
 import anywidget
@@ -26,27 +27,7 @@ from .history import History
 MODULE = Path(__file__).with_name("explorer.js")
 BOTH = 2  # value of `show`: both runs side by side
 
-PAGE = """<!doctype html>
-<html lang="en">
-<meta charset="utf-8">
-<meta name="viewport" content="width=device-width">
-<title>{title}</title>
-<style>
-:root {{ color-scheme: light dark; }}
-body {{ font-family: system-ui, sans-serif; max-width: 1100px; margin: 1em auto; padding: 0 1em;
-       color: #1a1a1a; background: #fff; }}
-@media (prefers-color-scheme: dark) {{ body {{ color: #e8e8e8; background: #161616; }} }}
-</style>
-<h1 style="font-size:1.3em">{title}</h1>
-<div id="explorer"></div>
-<script id="header" type="application/json">{header}</script>
-<script id="data" type="application/octet-stream;base64">{data}</script>
-<script type="module">
-{module}
-render({{ model: pageModel(), el: document.getElementById("explorer") }});
-</script>
-</html>
-"""
+PAGE = Path(__file__).with_name("page.html")
 
 
 class Explorer(anywidget.AnyWidget):
@@ -113,7 +94,7 @@ class Explorer(anywidget.AnyWidget):
     def from_beliefs(cls, labels: Sequence[str], beliefs: Sequence[Any], drive: Drive, *, name: str = "estimate",
                      unit: str = "iteration", error_state: ErrorState | None = None,
                      frames: Sequence[int] | None = None, captions: Sequence[str] = (),
-                     series: Mapping[str, Sequence[float]] | None = None, start: int | None = None,
+                     series: Mapping[str, Sequence[float]] | None = None,
                      landmark: int | None = None) -> "Explorer":
         """An explorer whose slider steps through single beliefs: iterations, pairs fused, keyframes.
 
@@ -123,7 +104,7 @@ class Explorer(anywidget.AnyWidget):
         error_state : of the beliefs' covariances, by default `error_state.fitting`.
         frames : n frames of the drive, those of the beliefs' (last) poses; by default its last frame.
         captions : n texts, by default what changed from one belief to the next.
-        series : {name: n numbers} to be drawn below, such as the cost of each iteration. start, landmark : as above.
+        series : {name: n numbers} to be drawn below, such as the cost of each iteration. landmark : as above.
         Raises ValueError when labels and beliefs differ in number or the data are too large.
 
         Example: `Explorer.from_beliefs([f"iteration {i}" for i in range(n)], beliefs, drive, series={"cost": costs})`.
@@ -131,15 +112,13 @@ class Explorer(anywidget.AnyWidget):
         self = cls.__new__(cls)
         one = history.from_beliefs(labels, beliefs, drive, name=name, unit=unit, error_state=error_state,
                                    frames=frames, captions=captions, series=series)
-        self._open([one], drive, start, landmark, 0)
+        self._open([one], drive, None, landmark, 0)
         return self
 
     def update(self, steps: Iterable | Mapping[str, Iterable],
-               error_state: ErrorState | Mapping[str, ErrorState] | None = None, *, world_T_imu=None,
-               name: str | None = None) -> None:
+               error_state: ErrorState | Mapping[str, ErrorState] | None = None) -> None:
         """Show other steps of the same drive in the same place; what is chosen stays chosen. Arguments as above."""
-        name = self.histories[0].name if name is None else name
-        self.histories = _histories(steps, self.drive, error_state, world_T_imu, name)
+        self.histories = _histories(steps, self.drive, error_state, None, self.histories[0].name)
         start = min(self.half_step, len(self.histories[0].snapshots) - 1)
         header, data = packing.pack(self.histories, self.drive, start, self.landmark, self.show,
                                     self.header["quantity"])
@@ -164,9 +143,8 @@ class Explorer(anywidget.AnyWidget):
 
     def still(self, i: int | None = None, show: int | None = None) -> Still:
         """The picture of snapshot i, by default what is shown, as an output that needs no script."""
-        png, alt = explorer_still.draw(dict(self.header), self.data, self.half_step if i is None else i,
-                                       self.landmark, self.show if show is None else show)
-        return Still(png, alt)
+        return Still(*explorer_still.draw(self.histories, self.drive, self.half_step if i is None else i, self.landmark,
+                                          self.show if show is None else show, self.header["quantity"]))
 
     def __repr__(self):
         """Fixed, so that a notebook's stored text never depends on what is shown or on an address."""
@@ -185,8 +163,9 @@ def explorer_page(explorer: Explorer, title: str) -> str:
     """The explorer as an HTML page, in the state that it is in, with everything it needs inside."""
     header = {**explorer.header, "start": explorer.half_step, "landmark": explorer.landmark, "show": explorer.show}
     # "</script" cannot occur in base64; in the texts of the header its "<" is written as an escape.
-    return PAGE.format(title=escape(title), header=json.dumps(header).replace("<", "\\u003c"),
-                       data=base64.b64encode(explorer.data).decode(), module=MODULE.read_text(encoding="utf-8"))
+    page, module = Template(PAGE.read_text(encoding="utf-8")), MODULE.read_text(encoding="utf-8")
+    return page.substitute(title=escape(title), header=json.dumps(header).replace("<", "\\u003c"),
+                           data=base64.b64encode(explorer.data).decode(), module=module)
 
 
 def _histories(steps, drive, error_state, world_T_imu, name) -> list[History]:

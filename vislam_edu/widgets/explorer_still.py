@@ -1,15 +1,16 @@
-"""The explorer as a still picture, drawn by matplotlib from the same packed data: for where no script runs."""
+"""The explorer as a still picture, drawn by matplotlib from the same histories: for where no script runs."""
 
 import io
-from typing import Any
+from collections.abc import Sequence
 
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.transforms import Bbox
 
-from ..plots import style
+from ..drive import Drive
+from ..plots import heading, style
 from ..plots.style import COLOURS, ellipse_points
-from .packing import ONE, get
+from .history import History, all_ids, principal_sigmas
 
 AXES = (("longest axis", COLOURS["predicted"], "-"), ("middle axis", COLOURS["mapping"], "--"),
         ("shortest axis", COLOURS["slam"], ":"))
@@ -17,95 +18,53 @@ SIZE = (10.0, 6.0)  # inches at 100 dots per inch
 NUMBERED = 24  # landmarks at most that all get their numbers, as in explorer.js; of more only the chosen one
 
 
-class Run:
-    """One run of an explorer, unpacked: its arrays by name, with the rows of one snapshot at hand."""
-
-    def __init__(self, run: dict[str, Any], data: bytes):
-        self.name, self.role, self.rows, self.captions = run["name"], run["role"], run["rows"], run["captions"]
-        self.born, self.retired, self._run, self._data = run["born"], run["retired"], run, data
-        self.time, self.first, self.ids = self["time"], self["first"], self["ids"]
-        self.landmark, self.block, self.axes = (self[key].reshape(-1, 3) for key in ("landmark", "block", "axes"))
-        self.pose = self["pose"].reshape(-1, 4)
-        self.series = [{**s, **{key: get(data, s[key]) for key in ("values", "low", "high")}} for s in run["series"]]
-
-    def __contains__(self, key):
-        return key in self._run
-
-    def __getitem__(self, key):
-        return get(self._data, self._run[key])
-
-    def of(self, i: int) -> slice:
-        """Rows of the landmarks of snapshot i."""
-        return slice(self.first[i], self.first[i + 1])
-
-    def ellipses(self, i: int) -> np.ndarray:
-        """(n, 2, 2) m^2, covariance of the landmarks of snapshot i on the ground."""
-        return self.block[self.of(i)][:, [0, 1, 1, 2]].reshape(-1, 2, 2)
-
-    def covariance(self, i: int) -> np.ndarray:
-        """(d, d), the joint covariance of snapshot i."""
-        sizes = 3 * np.diff(self.first) + len(self.rows[1])
-        d, a, b = sizes[i], sizes[:i].sum(), (sizes[:i] * (sizes[:i] + 1) // 2).sum()
-        sigma = self["sigma"][a:a + d].astype(float)
-        R = np.zeros((d, d))
-        R[np.triu_indices(d)] = self["correlation"][b:b + d * (d + 1) // 2] / ONE
-        return (R + np.triu(R, 1).T) * np.outer(sigma, sigma)
-
-    def sigmas(self, landmark: int) -> np.ndarray:
-        """(snapshots, 3) m: sigma of a landmark along its principal axes, NaN where it is not in the state."""
-        found = np.full((len(self.time), 3), np.nan)
-        for i in range(len(self.time)):
-            at = np.flatnonzero(self.ids[self.of(i)] == landmark)
-            found[i] = self.axes[self.of(i)][at[0]] if len(at) else np.nan
-        return found
-
-
-def draw(header: dict[str, Any], data: bytes, i: int, landmark: int, show: int) -> tuple[bytes, str]:
+def draw(histories: Sequence[History], drive: Drive, i: int, landmark: int, show: int, quantity: str
+         ) -> tuple[bytes, str]:
     """PNG of snapshot i and its alternative text. landmark : id of the chosen one. show : which run, 2 for both."""
-    every = [Run(run, data) for run in header["runs"]]
-    runs = every if show >= len(every) else [every[show]]
+    runs = histories if show >= len(histories) else [histories[show]]
     with style.context():
         figure = Figure(figsize=SIZE, dpi=100, layout="constrained")
         top, bottom = np.asarray(figure.subfigures(2, 1, height_ratios=(1.5, 1)))
-        matrix = [run for run in runs if "sigma" in run]
-        maps = top.subplots(1, len(runs) + len(matrix), squeeze=False)[0][:len(runs)]
+        matrices = [run for run in runs if run.covariances]
+        maps = top.subplots(1, len(runs) + len(matrices), squeeze=False)[0][:len(runs)]
         for axes, run in zip(maps, runs):
-            draw_map(axes, header, data, run, i, landmark, len(runs) > 1)
-        for axes, run in zip(top.axes[len(runs):], matrix):
-            draw_matrix(axes, run, i, landmark)
-        panels = [draw_landmark] * any(run.first[-1] > 0 for run in runs) + [draw_series] * bool(runs[0].series)
+            draw_map(axes, drive, all_ids(histories), run, i, landmark)
+            axes.set_title(run.name if len(runs) > 1 else "Map from above (m), 95 % ellipses")
+        for axes, run in zip(top.axes[len(runs):], matrices):
+            draw_matrix(axes, run.covariances[i], run.snapshots[i].ids, run.rows[1])
+        panels = [draw_landmark] * any(len(s.ids) for run in runs for s in run.snapshots)
+        panels += [draw_series] * bool(runs[0].series)
         for axes, panel in zip(bottom.subplots(1, max(len(panels), 1), squeeze=False)[0], panels):
-            panel(axes, header, runs, i, landmark)
+            panel(axes, runs, i, landmark, quantity)
         figure.draw_without_rendering()  # only now is it known where the numbers of the landmarks stand
         for axes in maps:
             leave_out_covering(axes.texts, str(landmark))
         file = io.BytesIO()
         figure.savefig(file, format="png", **style.PNG)
-    words = " ".join(f"{run.name}: {run.captions[i]}." for run in runs)
+    words = " ".join(f"{run.name}: {run.snapshots[i].caption}." for run in runs)
     shown = "; ".join(axes.get_title("left") for axes in figure.axes if axes.get_title("left"))
-    return file.getvalue(), f"Explorer at {header['labels'][i]}. {words} Shown: {shown}."
+    return file.getvalue(), f"Explorer at {histories[0].snapshots[i].label}. {words} Shown: {shown}."
 
 
-def draw_map(axes, header, data, run, i, landmark, several):
-    """From above: truth, path, landmarks with their 95 % ellipses, the car."""
-    if "landmark" in header["truth"]:
-        axes.plot(*get(data, header["truth"]["landmark"]).reshape(-1, 2).T, "+", color=COLOURS["faded"])
-    if "path" in header["truth"]:
-        axes.plot(*get(data, header["truth"]["path"]).reshape(-1, 2).T, lw=1, color=COLOURS["faded"])
-    path = run.pose[[j for j in range(i + 1) if header["updated"][j] or j == i]]
-    if "path" in run:
-        path = run["path"].reshape(-1, 2)[slice(*run["path_first"][i:i + 2])]
-    axes.plot(*path[:, :2].T, color=COLOURS["posterior"])
-    ids, places = run.ids[run.of(i)], run.landmark[run.of(i)]
-    for j, place, outline in zip(ids, places, ellipse_points(places[:, :2], run.ellipses(i))):
-        colour = COLOURS["measured"] if j == landmark else COLOURS["posterior" if header["updated"][i] else "prior"]
+def draw_map(axes, drive, ids, run, i, landmark):
+    """From above: truth (of the landmarks ids), path, landmarks with their 95 % ellipses, the car."""
+    if drive.has_true_landmarks:
+        axes.plot(*drive.true_landmarks[ids, :2].T, "+", color=COLOURS["faded"])
+    if drive.has_truth:
+        axes.plot(*drive.true_world_T_imu[:, :2, 3].T, lw=1, color=COLOURS["faded"])
+    now, driven = run.snapshots[i], [s for s in run.snapshots[:i] if s.updated]
+    path = now.path if now.path is not None else [s.world_T_imu for s in (*driven, now) if s.world_T_imu is not None]
+    axes.plot(*np.reshape(path, (-1, 4, 4))[:, :2, 3].T, color=COLOURS["posterior"])
+    outlines = ellipse_points(now.landmarks[:, :2], now.landmark_covariance[:, :2, :2])
+    for j, place, outline in zip(now.ids, now.landmarks, outlines):
+        colour = COLOURS["measured"] if j == landmark else COLOURS["posterior" if now.updated else "prior"]
         axes.plot(*outline.T, color=colour, lw=1.2)
-        if len(ids) <= NUMBERED or j == landmark:
+        if len(now.ids) <= NUMBERED or j == landmark:
             axes.annotate(str(j), place[:2], xytext=(3, 3), textcoords="offset points", fontsize=8, color=colour)
-    if np.isfinite(run.pose[i, 0]):
-        axes.plot(*run.pose[i, :2], marker=(3, 0, np.degrees(run.pose[i, 3]) - 90), ms=10, mfc="white", mec="black")
+    if now.world_T_imu is not None:
+        turned = np.degrees(heading(now.world_T_imu)) - 90
+        axes.plot(*now.world_T_imu[:2, 3], marker=(3, 0, turned), ms=10, mfc="white", mec="black")
     axes.set_aspect("equal", adjustable="datalim")
-    axes.set_title(run.name if several else "Map from above (m), 95 % ellipses")
 
 
 def leave_out_covering(numbers, chosen):
@@ -117,11 +76,9 @@ def leave_out_covering(numbers, chosen):
         taken += [box] * number.get_visible()
 
 
-def draw_matrix(axes, run, i, landmark):
+def draw_matrix(axes, P, ids, pose_rows):
     """The correlation of the joint state, blocks with landmark numbers and the pose's rows named."""
-    P = run.covariance(i)
     sigma = np.sqrt(np.diag(P))
-    ids, d = run.ids[run.of(i)], len(P)
     with np.errstate(invalid="ignore"):
         axes.imshow(P / np.outer(sigma, sigma), cmap="RdBu_r", vmin=-1, vmax=1, interpolation="nearest")
     axes.grid(False)
@@ -129,41 +86,43 @@ def draw_matrix(axes, run, i, landmark):
     axes.axvline(3 * len(ids) - 0.5, color="black", lw=0.8)
     every = max(1, -(-len(ids) // 14))
     names = [str(j) for j in ids[::every]]
-    pose = ["pose"] if len(ids) else list(run.rows[1])
-    rows = [3 * len(ids) + len(run.rows[1]) / 2 - 0.5] if len(ids) else list(range(d))
+    pose = ["pose"] if len(ids) else list(pose_rows)
+    rows = [3 * len(ids) + len(pose_rows) / 2 - 0.5] if len(ids) else list(range(len(P)))
     axes.set_yticks([*(3 * every * np.arange(len(names)) + 1), *rows], [*names, *pose], fontsize=8)
     axes.set_xticks([])
     axes.set_title("Correlation of the state")
 
 
-def draw_landmark(axes, header, runs, i, landmark):
+def draw_landmark(axes, runs, i, landmark, quantity):
     """Sigma of the chosen landmark along its principal axes through time, of the first run."""
-    sigmas = runs[0].sigmas(landmark)
+    time = [s.time for s in runs[0].snapshots]
+    spread = [s.landmark_covariance[s.ids == landmark] for s in runs[0].snapshots]
+    sigmas = np.array([principal_sigmas(P)[0] if len(P) else np.full(3, np.nan) for P in spread])
     for values, (name, colour, line) in zip(sigmas.T, AXES):
-        axes.plot(runs[0].time, values, line, color=colour, label=name)
-    axes.axvline(runs[0].time[i], color=COLOURS["measured"], lw=1)
+        axes.plot(time, values, line, color=colour, label=name)
+    axes.axvline(time[i], color=COLOURS["measured"], lw=1)
     axes.set_yscale("log")
     axes.set_title(f"Landmark {landmark}: σ along its axes (m)")
-    axes.set_xlabel(header["axis"])
+    axes.set_xlabel(runs[0].axis)
     axes.legend()
 
 
-def draw_series(axes, header, runs, i, landmark):
-    """The first quantity of the runs through time, after the updates, with its band."""
-    after = np.array(header["updated"], bool)
-    at = [one["name"] for one in runs[0].series].index(header["quantity"])
-    first = runs[0].series[at]
+def draw_series(axes, runs, i, landmark, quantity):
+    """The chosen quantity of the runs through time, after the updates, with its band."""
+    after = [s.updated for s in runs[0].snapshots]
+    time = np.array([s.time for s in runs[0].snapshots])
+    first = runs[0][quantity]
     for run in runs:
-        one, colour = run.series[at], COLOURS[run.role if len(runs) > 1 else "posterior"]
-        axes.plot(run.time[after], one["values"][after], color=colour, label=run.name)
-        for edge in (one["low"], one["high"]):
-            axes.plot(run.time[after], edge[after], "--", lw=1, color=colour)
-    axes.axvline(runs[0].time[i], color=COLOURS["measured"], lw=1)
-    if first["log"]:
+        one, colour = run[quantity], COLOURS[run.colour if len(runs) > 1 else "posterior"]
+        axes.plot(time[after], one.values[after], color=colour, label=run.name)
+        for edge in (one.low, one.high):
+            axes.plot(time[after], edge[after], "--", lw=1, color=colour)
+    axes.axvline(time[i], color=COLOURS["measured"], lw=1)
+    if first.log:
         axes.set_yscale("log")
-    unit = f" ({first['unit']})" if first["unit"] else ""
-    band = ", dashed: ± 3σ" if "error" in first["name"] else ""
-    axes.set_title(f"{first['name'][0].upper()}{first['name'][1:]}{unit}{band}")
-    axes.set_xlabel(header["axis"])
+    unit = f" ({first.unit})" if first.unit else ""
+    band = ", dashed: ± 3σ" if "error" in first.name else ""
+    axes.set_title(f"{first.name[0].upper()}{first.name[1:]}{unit}{band}")
+    axes.set_xlabel(runs[0].axis)
     if len(runs) > 1:
         axes.legend()

@@ -13,15 +13,8 @@ import numpy as np
 from .. import kalman, metrics, se3
 from ..belief import Step
 from ..drive import Drive
-from ..error_state import (
-    ErrorState,
-    fitting,
-    right_pose_covariance,
-    to_right,
-    world_landmark_covariance,
-)
+from ..error_state import ErrorState, fitting, right_pose_covariance, to_right, world_landmark_covariance
 from ..stereo import FOUR_FROM_THREE
-from .panels import nis_band
 
 NOBODY = np.empty(0, int)
 MOTION_ROWS = ["v x", "v y", "v z", "ω x", "ω y", "ω z", "bias x", "bias y", "bias z"]
@@ -134,15 +127,26 @@ class History:
                 return one
         raise KeyError(f"{name!r} is not among {[one.name for one in self.series]}")
 
+    @property
+    def covariances(self) -> list[np.ndarray]:
+        """The joint covariance of each snapshot; [] where one has none."""
+        found = [s.covariance for s in self.snapshots if s.covariance is not None]
+        return found if len(found) == len(self.snapshots) else []
+
+
+def all_ids(histories: Sequence[History]) -> np.ndarray:
+    """(n,) ids of all landmarks that some snapshot holds or its cameras saw, ascending."""
+    shots = [s for one in histories for s in one.snapshots]
+    return np.unique(np.concatenate([s.ids for s in shots] + [s.sight.ids for s in shots if s.sight]))
+
 
 def from_steps(name: str, steps: Iterable[Step], drive: Drive, error_state: ErrorState | None = None, *,
-               colour: str | None = None, world_T_imu: np.ndarray | None = None) -> History:
+               world_T_imu: np.ndarray | None = None) -> History:
     """The history of a filter: two snapshots a step, its prior and its posterior.
 
     steps : `Step`s whose beliefs are a joint `Belief`, a `MapBelief` or a `PoseBelief`.
     drive : the Drive they were run on; its true landmarks are the known map of a filter that estimates a pose only.
     error_state : that of a joint filter, by default `error_state.fitting`.
-    colour : key of `style.COLOURS`, by default the role of the error state.
     world_T_imu : (T, 4, 4), the poses that were given to a filter which estimates a map only.
     Raises ValueError for an empty history.
     """
@@ -160,12 +164,10 @@ def from_steps(name: str, steps: Iterable[Step], drive: Drive, error_state: Erro
         nis += [value, value]
         numbers += [count, count]
         for belief, updated in ((step.prior, False), (step.posterior, True)):
-            now = replace(
-                of_belief(belief, error_state, pose), time=float(step.time), updated=updated, sight=sight,
-                label=f"frame {step.k}, {step.time:.1f} s, {'updated' if updated else 'predicted'}",
-                born=step.born if updated else NOBODY, retired=NOBODY if updated else step.retired,
-                true_world_T_imu=truth,
-            )
+            now = replace(of_belief(belief, error_state, pose), time=float(step.time), updated=updated, sight=sight,
+                          label=f"frame {step.k}, {step.time:.1f} s, {'updated' if updated else 'predicted'}",
+                          born=step.born if updated else NOBODY, retired=NOBODY if updated else step.retired,
+                          true_world_T_imu=truth)
             snapshots.append(replace(now, caption=describe(snapshots[-1] if snapshots else None, now, pose is None)))
     # Until the update of a frame, the NIS of the frame before stands.
     per_number = np.where(np.array(numbers[:-1]) > 0, numbers[:-1], np.nan)
@@ -173,7 +175,7 @@ def from_steps(name: str, steps: Iterable[Step], drive: Drive, error_state: Erro
     series = [*pose_series(snapshots), nis_series]
     if truth is not None and snapshots[0].pose_covariance is not None:
         series.insert(-1, nees_series(steps, drive, error_state))
-    return History(name, colour or error_state.role, "half-step", "time (s)", row_names(snapshots, error_state),
+    return History(name, error_state.role, "half-step", "time (s)", row_names(snapshots, error_state),
                    tuple(snapshots), tuple(series))
 
 
@@ -341,6 +343,12 @@ def nees_series(steps, drive, error_state) -> Series:
     nees = metrics.pose_nees(error_state, truth, np.array([b.world_T_imu for b in beliefs]), np.array(claimed)).pose
     low, high = metrics.chi2_band(6, probability=0.95)
     return Series("NEES of the pose", "", nees, np.full(len(nees), low), np.full(len(nees), high), log=True)
+
+
+def nis_band(n_numbers):
+    """NIS / degrees of freedom that 95 % of honest frames show, (2, ...), for frames of so many numbers."""
+    n_numbers = np.asarray(n_numbers)
+    return np.array([kalman.chi_square_quantile(p, n_numbers) / n_numbers for p in (0.025, 0.975)])
 
 
 def row_names(snapshots, error_state) -> tuple[list[str], list[str]]:

@@ -5,6 +5,7 @@ in int16, 1 being 32767: half of what the matrix would take in float32, and exac
 """
 
 import json
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -12,10 +13,33 @@ import numpy as np
 from .. import se3
 from ..plots import style
 from ..simulate import IMAGE_SIZE
-from .history import History, Snapshot, principal_sigmas
+from .history import History, Snapshot, all_ids, principal_sigmas
 
 LIMIT = 1_000_000  # bytes of one explorer, header and data
 ONE = 32767  # int16 of a correlation of 1
+LAYOUT = {  # of each array: its type, and the numbers of one of its rows; explorer.js has the same table
+    "time": ("f4", ["time"]),
+    "first": ("i4", ["row"]),  # of the landmarks of each snapshot in the next four
+    "ids": ("i4", ["id"]),
+    "landmark": ("f4", ["x", "y", "z"]),
+    "block": ("f4", ["xx", "xy", "yy"]),  # covariance of the position in the world
+    "axes": ("f4", ["longest", "middle", "shortest"]),  # sigma
+    "pose": ("f4", ["x", "y", "z", "heading"]),
+    "inset": ("f4", [  # the pose magnified: covariance and sigma of the heading, now and before; place, now and true
+        "xx", "xy", "yy", "heading sigma", "before xx", "before xy", "before yy", "before heading sigma",
+        "x", "y", "heading", "true x", "true y", "true heading"]),
+    "sigma": ("f4", ["sigma"]),  # of each row of the joint covariance
+    "correlation": ("i2", ["correlation"]),
+    "sight": ("i4", ["first", "end"]),  # rows of the next two that belong to a snapshot
+    "sight_ids": ("i4", ["id"]),
+    "sights": ("f4", ["u", "v", "predicted u", "predicted v", "projected u", "projected v", "S uu", "S uv", "S vv",
+                      "nis", "accepted", "pull forward", "pull left"]),
+    "path_first": ("i4", ["row"]),  # of the path of each snapshot in the next two
+    "path": ("f4", ["x", "y"]),
+    "path_block": ("f4", ["xx", "xy", "yy"]),
+    "truth": ("f4", ["x", "y"]),
+    "series": ("f4", ["value"]),
+}
 
 
 class Block:
@@ -25,9 +49,10 @@ class Block:
         self.parts: list[bytes] = []
         self.size = 0
 
-    def put(self, array, dtype) -> list:
-        """Append an array; returns [dtype, first byte, number of entries] for the header."""
-        flat = np.ascontiguousarray(array, dtype=np.dtype(dtype).newbyteorder("<")).ravel()
+    def put(self, name, array) -> list:
+        """Append an array of `LAYOUT`; returns [dtype, first byte, number of entries] for the header."""
+        dtype, row = LAYOUT[name]
+        flat = np.reshape(array, (-1, len(row))).astype(np.dtype(dtype).newbyteorder("<")).ravel()
         content = flat.tobytes()
         at = [dtype, self.size, len(flat)]
         self.parts.append(content + bytes(-len(content) % 4))
@@ -38,12 +63,6 @@ class Block:
     def data(self) -> bytes:
         """All of it."""
         return b"".join(self.parts)
-
-
-def get(data: bytes, at: list) -> np.ndarray:
-    """The array (n,) that `Block.put` left at `at`."""
-    dtype, offset, n = at
-    return np.frombuffer(data, np.dtype(dtype).newbyteorder("<"), n, offset)
 
 
 def pack(histories: list[History], drive, start: int, landmark: int, show: int,
@@ -65,16 +84,14 @@ def pack(histories: list[History], drive, start: int, landmark: int, show: int,
     else:
         histories[0][quantity]
     block = Block()
-    ids = np.unique(np.concatenate([s.ids for h in histories for s in h.snapshots]
-                                   + [s.sight.ids for h in histories for s in h.snapshots if s.sight]))
+    ids = all_ids(histories)
     header = {
         "n": lengths[0], "unit": histories[0].unit, "axis": histories[0].axis, "start": start, "landmark": landmark,
         "quantity": quantity, "show": show, "ids": ids.tolist(), "image": image_size(histories),
         "labels": [s.label for s in histories[0].snapshots],
         "updated": [int(s.updated) for s in histories[0].snapshots],
-        "truth": truth(block, drive, ids, histories[0]), "colours": style.both_themes(),
-        "runs": [run(block, history) for history in histories],
-    }
+        "truth": truth(block, drive, ids), "colours": style.both_themes(),
+        "runs": [run(block, history) for history in histories]}
     size = block.size + len(json.dumps(header))
     if size > LIMIT:
         raise ValueError(f"{size / 1e6:.1f} MB for {lengths[0]} {histories[0].unit}s, an explorer takes "
@@ -82,13 +99,13 @@ def pack(histories: list[History], drive, start: int, landmark: int, show: int,
     return header, block.data
 
 
-def truth(block, drive, ids, history) -> dict[str, Any]:
-    """True landmarks (the known map in odometry) and path, as far as the history goes; absent without truth."""
+def truth(block, drive, ids) -> dict[str, Any]:
+    """True landmarks (the known map in odometry) and path; absent without truth."""
     found = {}
     if drive.has_true_landmarks:
-        found["landmark"] = block.put(drive.true_landmarks[ids, :2], "f4")
+        found["landmark"] = block.put("truth", drive.true_landmarks[ids, :2])
     if drive.has_truth:
-        found["path"] = block.put(drive.true_world_T_imu[:, :2, 3], "f4")
+        found["path"] = block.put("truth", drive.true_world_T_imu[:, :2, 3])
     return found
 
 
@@ -102,29 +119,26 @@ def image_size(histories) -> list[int]:
 def run(block: Block, history: History) -> dict[str, Any]:
     """One history in the header; its arrays go into the block."""
     snapshots = history.snapshots
-    covariances = np.concatenate([s.landmark_covariance for s in snapshots])
     packed = {
         "name": history.name, "role": history.colour, "rows": history.rows, "captions": [s.caption for s in snapshots],
         "born": [s.born.tolist() for s in snapshots], "retired": [s.retired.tolist() for s in snapshots],
-        "time": block.put([s.time for s in snapshots], "f4"),
-        "first": block.put(np.cumsum([0] + [len(s.ids) for s in snapshots]), "i4"),
-        "ids": block.put(np.concatenate([s.ids for s in snapshots]), "i4"),
-        "landmark": block.put(np.concatenate([s.landmarks for s in snapshots]), "f4"),
-        "block": block.put(covariances[:, [0, 0, 1], [0, 1, 1]], "f4"),
-        "axes": block.put(principal_sigmas(covariances), "f4"),
-        "pose": block.put([ground_pose(s.world_T_imu) for s in snapshots], "f4"),
-        "inset": block.put([inset(snapshots, i) for i in range(len(snapshots))], "f4"),
         "series": [{"name": s.name, "unit": s.unit, "log": s.log,
-                    **{key: block.put(getattr(s, key), "f4") for key in ("values", "low", "high")}}
-                   for s in history.series],
-        **sights(block, snapshots), **paths(block, snapshots),
-    }
-    matrices = [s.covariance for s in snapshots if s.covariance is not None]
-    if len(matrices) == len(snapshots):
-        sigma, correlation = zip(*map(split, matrices))
-        packed |= {"sigma": block.put(np.concatenate(sigma), "f4"),
-                   "correlation": block.put(np.concatenate(correlation), "i2")}
-    return packed
+                    **{key: block.put("series", getattr(s, key)) for key in ("values", "low", "high")}}
+                   for s in history.series]}
+    covariances = np.concatenate([s.landmark_covariance for s in snapshots])
+    arrays: dict[str, Any] = {
+        "time": [s.time for s in snapshots],
+        "first": np.cumsum([0] + [len(s.ids) for s in snapshots]),
+        "ids": np.concatenate([s.ids for s in snapshots]),
+        "landmark": np.concatenate([s.landmarks for s in snapshots]),
+        "block": covariances[:, [0, 0, 1], [0, 1, 1]],
+        "axes": principal_sigmas(covariances),
+        "pose": [ground_pose(s.world_T_imu) for s in snapshots],
+        "inset": [inset(snapshots, i) for i in range(len(snapshots))],
+        **sights(snapshots), **paths(snapshots)}
+    if history.covariances:
+        arrays["sigma"], arrays["correlation"] = map(np.concatenate, zip(*map(split, history.covariances)))
+    return packed | {name: block.put(name, array) for name, array in arrays.items()}
 
 
 def split(covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -146,15 +160,14 @@ def ground_pose(world_T_imu: np.ndarray | None) -> list[float]:
 
 
 def inset(snapshots: tuple[Snapshot, ...], i: int) -> list[float]:
-    """The pose of snapshot i magnified: 14 numbers in m and rad along the body axes of the snapshot it came from.
+    """The pose of snapshot i magnified, along the body axes of the snapshot that it came from (see `LAYOUT`).
 
-    Its own covariance of [forward, left] as xx, xy, yy and its sigma of the heading, the same of the snapshot that it
-    came from (at the origin), position and heading, true position and heading. NaN where there is none.
+    "Before" is the snapshot that it came from, at the origin; all in m and rad, NaN where there is none.
     """
     now = snapshots[i]
     came_from = now if i == 0 else snapshots[i - 1]
     if not now.updated:  # a prediction is compared with the belief it came from, brought to where the car is now
-        came_from = replace_pose(came_from, now)
+        came_from = replace(came_from, world_T_imu=now.world_T_imu)
     if now.world_T_imu is None or came_from.world_T_imu is None:
         return [np.nan] * 14
     origin_T_world = se3.inverse(came_from.world_T_imu)
@@ -171,51 +184,31 @@ def inset(snapshots: tuple[Snapshot, ...], i: int) -> list[float]:
     return [*spreads[0], *spreads[1], *places[0], *places[1]]
 
 
-def replace_pose(snapshot: Snapshot, other: Snapshot) -> Snapshot:
-    """A snapshot's covariance at the pose of another."""
-    return Snapshot(snapshot.label, snapshot.time, snapshot.updated, snapshot.ids, snapshot.landmarks,
-                    snapshot.landmark_covariance, other.world_T_imu, snapshot.pose_covariance)
-
-
-def sights(block: Block, snapshots: tuple[Snapshot, ...]) -> dict[str, Any]:
-    """The measurements: both snapshots of a frame point to the same rows, as [first, end) in `sight`.
-
-    A row of `sights` has 13 numbers: u, v measured, predicted and projected; S of uu, uv, vv; NIS; 1 where the gate
-    accepted it; its pull forward and left.
-    """
-    rows: list[tuple[int, int]] = []
-    ids, numbers, kept = [], [], {}
-    end = 0
-    for snapshot in snapshots:
-        sight = snapshot.sight
-        if sight is None:
-            rows.append((0, 0))
-            continue
-        if id(sight) not in kept:
-            S = sight.covariance
-            kept[id(sight)] = (end, end := end + len(sight.ids))
-            ids.append(sight.ids)
-            numbers.append(np.column_stack([
-                sight.measured, sight.predicted, sight.projected, S[:, 0, 0], S[:, 0, 1], S[:, 1, 1], sight.nis,
-                sight.accepted, sight.pulls]))
-        rows.append(kept[id(sight)])
-    if not ids:
+def sights(snapshots: tuple[Snapshot, ...]) -> dict[str, Any]:
+    """The measurements: both snapshots of a frame point to the same rows."""
+    found, at, rows, end = [], {}, [], 0
+    for sight in (snapshot.sight for snapshot in snapshots):
+        if sight is not None and id(sight) not in at:
+            at[id(sight)] = (end, end := end + len(sight.ids))
+            found.append(sight)
+        rows.append(at.get(id(sight), (0, 0)))
+    if not found:
         return {}
-    return {"sight": block.put(rows, "i4"), "sight_ids": block.put(np.concatenate(ids), "i4"),
-            "sights": block.put(np.concatenate(numbers), "f4")}
+    numbers = [np.column_stack([s.measured, s.predicted, s.projected, s.covariance[:, [0, 0, 1], [0, 1, 1]], s.nis,
+                                s.accepted, s.pulls]) for s in found]
+    return {"sight": rows, "sight_ids": np.concatenate([s.ids for s in found]), "sights": np.concatenate(numbers)}
 
 
-def paths(block: Block, snapshots: tuple[Snapshot, ...]) -> dict[str, Any]:
+def paths(snapshots: tuple[Snapshot, ...]) -> dict[str, Any]:
     """Paths that belong to single snapshots: x, y (m) and covariance of x, y (m^2) in the world."""
     lines = [s.path for s in snapshots if s.path is not None]
     spreads = [s.path_covariance for s in snapshots if s.path_covariance is not None]
     if len(lines) < len(snapshots):
         return {}
     places = np.concatenate(lines)
-    packed = {"path_first": block.put(np.cumsum([0] + [len(line) for line in lines]), "i4"),
-              "path": block.put(places[:, :2, 3], "f4")}
+    packed = {"path_first": np.cumsum([0] + [len(line) for line in lines]), "path": places[:, :2, 3]}
     if len(spreads) == len(snapshots):
         R = places[:, :3, :3]
         P = R @ np.concatenate(spreads)[:, :3, :3] @ np.swapaxes(R, -1, -2)
-        packed["path_block"] = block.put(P[:, [0, 0, 1], [0, 1, 1]], "f4")
+        packed["path_block"] = P[:, [0, 0, 1], [0, 1, 1]]
     return packed

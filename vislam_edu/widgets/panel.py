@@ -76,11 +76,8 @@ class Panel(ipywidgets.VBox):
         row = ipywidgets.Layout(flex_flow="row wrap", width=width, max_width="100%")  # in as many lines as it needs
         for control in self.controls.values():
             control.observe(self._show, names="value")
-        super().__init__(
-            [ipywidgets.Box(list(self.controls.values()), layout=row), self.image, self.text],
-            layout=ipywidgets.Layout(align_items="flex-start"),
-            **layout,
-        )
+        super().__init__([ipywidgets.Box(list(self.controls.values()), layout=row), self.image, self.text],
+                         layout=ipywidgets.Layout(align_items="flex-start"), **layout)
         self._show()
 
     @property
@@ -92,10 +89,8 @@ class Panel(ipywidgets.VBox):
         self.image.value = self.picture.png(**self.state)
         caption = self.picture.caption(**self.state)
         # "status": a screen reader reads the caption out whenever it changes. An Image widget has no alternative text.
-        self.text.value = (
-            f'<div role="status" style="line-height: 1.4">{html.escape(caption)}</div>'
-            f'<div style="{UNSEEN}">{html.escape(self.picture.alt(**self.state))}</div>'
-        )
+        self.text.value = (f'<div role="status" style="line-height: 1.4">{html.escape(caption)}</div>'
+                           f'<div style="{UNSEEN}">{html.escape(self.picture.alt(**self.state))}</div>')
 
     def __repr__(self):
         """Fixed, so that a notebook's stored text never depends on the picture or on an address."""

@@ -9,6 +9,7 @@ from matplotlib.collections import LineCollection
 
 from ... import se3
 from ...plots import drawing, style
+from ..panels import new_image
 
 
 @style.styled
@@ -31,7 +32,7 @@ def feature_tracks(drive, k, frames=5):
     ids, pixels = drive.observed(k)
     recent = (drive.frame >= k - frames) & (drive.frame <= k)
     tracks = [drive.pixels[recent & (drive.landmark == i), :2] for i in ids]
-    figure, axes = drawing.new_image()
+    figure, axes = new_image()
     label = f"the last {drive.times[k] - drive.times[k - frames]:.1f} s"
     axes.add_collection(LineCollection(tracks, colors=style.COLOURS["prior"], label=label))
     axes.plot(*pixels[:, :2].T, ".", color=style.COLOURS["measured"], label=f"feature in frame {k}, left camera")

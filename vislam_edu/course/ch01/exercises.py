@@ -50,21 +50,12 @@ def so3_hat(omega):
     return np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
 
 
-so3_hat.slip("signs transposed", """This is the transpose, -omega^: it gives cross(b, a). The entry in the first
-row, second column is -z.""", (" omega", " -omega"))
-
-
-@so3_hat.mistake("no minus signs", "The matrix must be skew-symmetric: each entry below the diagonal is minus its "
-                 "mirror image.")
-def _(omega):
-    x, y, z = omega
-    return np.array([[0, z, y], [z, 0, x], [y, x, 0]])
-
-
-@so3_hat.mistake("y without its sign change", """The y entries carry the opposite sign of the x and z entries on their
-side of the diagonal: first row is [0, -z, +y].""")
-def _(omega):
-    return se3.so3_hat(omega * [1, -1, 1])
+so3_hat.slip("signs transposed", """This is the transpose, -omega^: it gives cross(b, a). The entry in the first row,
+    second column is -z.""", ("[[0, -z, y], [z, 0, -x], [-y, x, 0]]", "[[0, z, -y], [-z, 0, x], [y, -x, 0]]"))
+so3_hat.slip("no minus signs", """The matrix must be skew-symmetric: each entry below the diagonal is minus its mirror
+    image.""", ("-z", "z"), ("-x", "x"), ("-y", "y"))
+so3_hat.slip("y without its sign change", """The y entries carry the opposite sign of the x and z entries on their side
+    of the diagonal: first row is [0, -z, +y].""", ("[-y, x", "[y, x"), ("-z, y]", "-z, -y]"))
 
 
 @exercise(chapter=1, cases=twists, shows=[se3.hat, se3.so3_hat], hints=[
@@ -82,20 +73,12 @@ def se3_hat(xi):
     return X
 
 
-@se3_hat.mistake("rotation and translation swapped", """A twist is [v, omega], translation first: omega is xi[3:].
-Section 3.1 of the report has them the other way round, section 3.3 this way.""")
-def _(xi):
-    return se3.hat(np.roll(xi, 3))
-
-
-@se3_hat.mistake("a pose's last row", """The last row is zero, not [0, 0, 0, 1]: this is a velocity of a pose, not a
-pose.""")
-def _(xi):
-    return se3.hat(xi) + np.diag([0, 0, 0, 1])
-
-
+se3_hat.slip("rotation and translation swapped", """A twist is [v, omega], translation first: omega is xi[3:]. Section
+    3.1 of the report has them the other way round, section 3.3 this way.""", ("v, omega", "omega, v"))
+se3_hat.slip("a pose's last row", "The last row is zero, not [0, 0, 0, 1]: this is a velocity of a pose, not a pose.",
+    ("= v", "= v\n    X[3, 3] = 1"))
 se3_hat.slip("omega^ transposed", "The rotation block is omega^, not its transpose: check your so3_hat.",
-             ("xi[3:]", "-xi[3:]"))
+    ("so3_hat(omega)", "so3_hat(omega).T"))
 
 
 # --- exp --------------------------------------------------------------------------------------------------
@@ -115,34 +98,26 @@ def so3_exp(phi):
     return np.eye(3) + np.sin(t) / t * S + (1 - np.cos(t)) / t**2 * (S @ S)
 
 
-so3_exp.slip("no small-angle branch", "At zero rotation the formula divides 0 by 0. " + _SMALL, ("1e-6", "0"))
-
-
-@so3_exp.mistake("degrees", "phi is in radians; np.deg2rad or np.radians has no place here.")
-def _(phi):
-    return se3.so3_exp(np.radians(phi))
-
-
-@so3_exp.mistake("axis not normalised", """sin t and 1 - cos t multiply the hat of the unit axis. With the hat of phi
-itself they are divided by t and t^2.""")
-def _(phi):
-    t, S = np.linalg.norm(phi), se3.so3_hat(phi)
-    return np.eye(3) + np.sin(t) * S + (1 - np.cos(t)) * S @ S
-
-
-so3_exp.slip("inverse rotation", "This is the transpose, a turn the other way: look at the sign of S.", ("S +", "-S +"))
-
-
-@so3_exp.mistake("np.exp of a matrix", """np.exp takes the exponential of each entry. The matrix exponential is the
-series I + S + S S / 2 + ..., which Rodrigues' formula sums.""")
-def _(phi):
-    return np.exp(se3.so3_hat(phi))
-
-
-@so3_exp.mistake("series cut off", "I + S + S S / 2 is the series up to its second term: good for small angles only.")
-def _(phi):
-    S = se3.so3_hat(phi)
-    return np.eye(3) + S + S @ S / 2
+so3_exp.slip("no small-angle branch", "At zero rotation the formula divides 0 by 0. " + _SMALL,
+    ("if t < 1e-6:\n        return np.eye(3) + S\n    ", ""))
+so3_exp.slip("degrees", "phi is in radians; np.deg2rad or np.radians has no place here.",
+    ("t = ", "phi = np.radians(phi)\n    t = "))
+so3_exp.slip("small angles taken for none", """The special case is for angles at which 1 - cos t loses its digits, 1e-6
+    rad say. A step of an IMU turns by 0.001 to 0.1 rad, which is not nothing.""", ("t < 1e-6", "t < 1e-3"),
+    ("np.eye(3) + S", "np.eye(3)"))
+so3_exp.slip("first order up to too large an angle", """I + S leaves out S S / 2, which is t^2 / 2: at 0.01 rad 5e-5 are
+    missing.""", ("1e-6", "0.05"))
+so3_exp.slip("axis not normalised", """sin t and 1 - cos t multiply the hat of the unit axis. With the hat of phi itself
+    they are divided by t and t^2.""", (" / t * S", " * S"), (" / t**2", ""))
+so3_exp.slip("inverse rotation", "This is the transpose, a turn the other way: look at the sign of S.",
+    ("S = se3.so3_hat(phi)", "S = -se3.so3_hat(phi)"))
+so3_exp.slip("np.exp of a matrix", """np.exp takes the exponential of each entry. The matrix exponential is the series I
+    + S + S S / 2 + ..., which Rodrigues' formula sums.""", ("np.eye(3) + S", "np.exp(S)"),
+    ("np.eye(3) + np.sin(t) / t * S + (1 - np.cos(t)) / t**2 * (S @ S)", "np.exp(S)"))
+so3_exp.slip("series cut off", "I + S + S S / 2 is the series up to its second term: good for small angles only.",
+    ("np.sin(t) / t * S + (1 - np.cos(t)) / t**2 * (S @ S)", "S + S @ S / 2"))
+so3_exp.slip("series cut off after the third term", "I + S + S^2 / 2 + S^3 / 6 is good for small angles only.",
+    ("np.sin(t) / t * S + (1 - np.cos(t)) / t**2 * (S @ S)", "S + S @ S / 2 + S @ S @ S / 6"))
 
 
 @exercise(chapter=1, cases=twists, shows=[se3.exp, se3.hat, se3._angle_functions], hints=[
@@ -166,39 +141,23 @@ def se3_exp(xi):
     return T
 
 
-@se3_exp.mistake("no small-angle branch", "At zero rotation the formula divides 0 by 0. " + _SMALL)
-def _(xi):
-    t, S = np.linalg.norm(xi[3:]), se3.so3_hat(xi[3:])
-    V = np.eye(3) + (1 - np.cos(t)) / t**2 * S + (t - np.sin(t)) / t**3 * S @ S
-    return se3.pose(np.eye(3) + np.sin(t) / t * S + (1 - np.cos(t)) / t**2 * S @ S, V @ xi[:3])
-
-
-se3_exp.slip("translation copied", """The translation of the pose is V v, not v: while the body turns, its own
-forward direction turns with it. V is the left Jacobian of SO(3).""", ("V @ v", "v"))
-
-
+se3_exp.slip("no small-angle branch", "At zero rotation the formula divides 0 by 0. " + _SMALL,
+    ("if t > 1e-6:", "if True:"))
+se3_exp.slip("translation copied", """The translation of the pose is V v, not v: while the body turns, its own forward
+    direction turns with it. V is the left Jacobian of SO(3).""", ("V @ v", "v"))
 se3_exp.slip("R in place of V", """The translation is turned by V, the mean rotation along the way, not by R, the
-rotation at its end.""", ("V @", "R @"))
-
-
+    rotation at its end.""", ("V @", "R @"))
 se3_exp.slip("V of the inverse rotation", """The signs of the odd terms of V are those of the right Jacobian; the
-translation needs the left one, I + (1 - cos t) / t^2 S + ...""", ("S +", "-S +"))
-
-
-@se3_exp.mistake("rotation and translation swapped", "A twist is [v, omega], translation first: omega is xi[3:].")
-def _(xi):
-    return se3.exp(np.roll(xi, 3))
-
-
-@se3_exp.mistake("degrees", "omega is in radians; np.deg2rad or np.radians has no place here.")
-def _(xi):
-    return se3.exp(np.concatenate([xi[:3], np.radians(xi[3:])]))
-
-
-@se3_exp.mistake("first order only", """I + xi^ is only the beginning of the series; its upper left block is no
-rotation.""")
-def _(xi):
-    return np.eye(4) + se3.hat(xi)
+    translation needs the left one, I + (1 - cos t) / t^2 S + ...""", ("/ t**2 * S", "/ t**2 * -S"),
+    ("S / 2", "-S / 2"))
+se3_exp.slip("rotation and translation swapped", "A twist is [v, omega], translation first: omega is xi[3:].",
+    ("v, omega", "omega, v"))
+se3_exp.slip("degrees", "omega is in radians; np.deg2rad or np.radians has no place here.",
+    ("xi[3:]", "np.radians(xi[3:])"))
+se3_exp.slip("first order only", "I + xi^ is only the beginning of the series; its upper left block is no rotation.",
+    ("R = se3.so3_exp(omega)", "R = np.eye(3) + S"), ("V @ v", "v"))
+se3_exp.slip("series cut off", """I + X + X X / 2 with X = xi^ is good for small angles only: its upper left block is no
+    rotation.""", ("R = se3.so3_exp(omega)", "R = np.eye(3) + S + S @ S / 2"), ("if t > 1e-6:", "if False:"))
 
 
 # --- Adjoint and Jacobian ---------------------------------------------------------------------------------
@@ -226,25 +185,16 @@ def adjoint(T):
     return A
 
 
-@adjoint.mistake("twist order [omega, v]", """The block p^ R stands lower left only where a twist is [omega, v]. Here it
-is [v, omega]: a rotation moves the translation, so p^ R stands upper right.""")
-def _(T):
-    A = se3.adjoint(T)
-    A[3:, :3], A[:3, 3:] = A[:3, 3:].copy(), 0.0
-    return A
-
-
+adjoint.slip("twist order [omega, v]", """The block p^ R stands lower left only where a twist is [omega, v]. Here it is
+    [v, omega]: a rotation moves the translation, so p^ R stands upper right.""", ("A[:3, 3:]", "A[3:, :3]"))
 adjoint.slip("p^ R forgotten", """A turn about a frame b that is p away also moves the origin of frame a: the upper
-right block is p^ R, not zero.""", ("@ R", "@ p"))
-
-
-adjoint.slip("R p^ in place of p^ R",
-                 "p is expressed in frame a, so it acts after R has turned the twist into a: p^ R.",
-             ("se3.so3_hat(p) @ R", "R @ se3.so3_hat(p)"))
-
-
+    right block is p^ R, not zero.""", ("    A[:3, 3:] = se3.so3_hat(p) @ R\n", ""))
+adjoint.slip("R p^ in place of p^ R", """p is expressed in frame a, so it acts after R has turned the twist into a: p^
+    R.""", ("se3.so3_hat(p) @ R", "R @ se3.so3_hat(p)"))
 adjoint.slip("of the inverse pose", "This is the Adjoint of T^-1: it takes twists from frame a to frame b.",
-             ("return A", "return np.linalg.inv(A)"))
+    ("return A", "return np.linalg.inv(A)"))
+adjoint.slip("rotation's own block forgotten", """A turn expressed in frame b has to be turned into frame a as well: R
+    stands lower right too.""", ("A[3:, 3:] = R", "A[3:, 3:] = np.eye(3)"))
 
 
 def jacobian_twists(rng):
@@ -274,10 +224,9 @@ def left_jacobian(xi):
     return J
 
 
-@left_jacobian.mistake("I at zero rotation", """Zero rotation is not a zero twist: there the Jacobian is [[I, v^/2], [0,
-I]], because turning at the start of a straight path moves its end.""")
-def _(xi):
-    return se3.left_jacobian(xi) if np.linalg.norm(xi[3:]) > 1e-6 else np.eye(6)
+left_jacobian.slip("I at zero rotation", """Zero rotation is not a zero twist: there the Jacobian is [[I, v^/2], [0,
+    I]], because turning at the start of a straight path moves its end.""",
+    ("return J", "return J if np.linalg.norm(xi[3:]) > 1e-6 else np.eye(6)"))
 
 
 @left_jacobian.mistake("no small-angle branch", """At zero rotation the closed form divides 0 by 0. Use the series
@@ -287,23 +236,16 @@ def _(xi):
         return se3.left_jacobian(xi) + 0.0 / np.linalg.norm(xi[3:])
 
 
-left_jacobian.slip("block of v forgotten", """The Jacobian of SO(3) on the diagonal is not all: the upper right
-block says how a small turn moves the end of the path.""", ("xi[:3]", "0 * xi[:3]"))
-
-
+left_jacobian.slip("block of v forgotten", """The Jacobian of SO(3) on the diagonal is not all: the upper right block
+    says how a small turn moves the end of the path.""", ("    X[:3, 3:] = se3.so3_hat(xi[:3])\n", ""))
 left_jacobian.slip("right Jacobian", "This is the right Jacobian, left_jacobian(-xi): the odd terms change sign.",
-                   ("X /", "-X /"))
-
-
-left_jacobian.slip("exponential series", """The terms are divided by (n+1)!, not by n!: this is the Adjoint of
-exp(xi).""", ("1)", "0)"))
-
-
-@left_jacobian.mistake("series cut off", """Two or three terms are not enough for a turn of a radian: add terms until
-they no longer matter.""")
-def _(xi):
-    X = se3.curly_hat(xi)
-    return np.eye(6) + X / 2 + X @ X / 6
+    ("@ X /", "@ -X /"))
+left_jacobian.slip("exponential series", "The terms are divided by (n+1)!, not by n!: this is the Adjoint of exp(xi).",
+    ("(n + 1)", "n"))
+left_jacobian.slip("series cut off", """Two or three terms are not enough for a turn of a radian: add terms until they
+    no longer matter.""", ("30", "3"))
+left_jacobian.slip("divided by n + 1, not its factorial", """The term X^n is divided by (n + 1)!: each term by n + 1
+    more than the one before it.""", ("J = J + term", "J = J + term / (n + 1)"), ("term @ X / (n + 1)", "term @ X"))
 
 
 # --- motion -----------------------------------------------------------------------------------------------
@@ -329,35 +271,22 @@ def dead_reckon(world_T_imu, twists, taus):
     return np.array(poses)
 
 
-dead_reckon.slip("world and body mixed", """The twist is measured in the body frame, so its exponential stands to
-the right of world_T_imu. On the left it would be a motion expressed in the world frame.""",
-                 ("poses[k] @ se3.exp(taus[k] * twists[k])", "se3.exp(taus[k] * twists[k]) @ poses[k]"))
-
-
-dead_reckon.slip("tau forgotten", """A twist is a velocity: multiply it by the time it lasts before you
-exponentiate.""", ("taus[k] * twists[k]", "twists[k]"))
-
-
-@dead_reckon.mistake("exponential of the sum", """Twists of different directions do not commute: exp(a) exp(b) is not
-exp(a + b). Multiply the poses, do not add the twists.""")
-def _(world_T_imu, twists, taus):
-    sums = np.cumsum(taus[:, None] * twists, axis=0)
-    return np.concatenate([world_T_imu[None], world_T_imu @ se3.exp(sums)])
-
-
-@dead_reckon.mistake("straight line in each step", """p + R v tau takes the body for one that moves first and turns
-afterwards. Use the exponential of the whole twist.""")
-def _(world_T_imu, twists, taus):
-    poses = [world_T_imu]
-    for twist, tau in zip(twists, taus):
-        poses.append(poses[-1] @ se3.pose(se3.so3_exp(tau * twist[3:]), tau * twist[:3]))
-    return np.array(poses)
-
-
-@dead_reckon.mistake("one array changed again and again", """The list holds the same array many times, and each step
-changes it: append a new one, T = T @ ... rather than T[:] = T @ ...""")
-def _(world_T_imu, twists, taus):
-    return np.repeat(dead_reckon.reference(world_T_imu, twists, taus)[-1:], len(taus) + 1, axis=0)
+dead_reckon.slip("world and body mixed", """The twist is measured in the body frame, so its exponential stands to the
+    right of world_T_imu. On the left it would be a motion expressed in the world frame.""",
+    ("poses[k] @ se3.exp(taus[k] * twists[k])", "se3.exp(taus[k] * twists[k]) @ poses[k]"))
+dead_reckon.slip("tau forgotten", "A twist is a velocity: multiply it by the time it lasts before you exponentiate.",
+    ("taus[k] * twists[k]", "twists[k]"))
+dead_reckon.slip("exponential of the sum", """Twists of different directions do not commute: exp(a) exp(b) is not exp(a
+    + b). Multiply the poses, do not add the twists.""",
+    ("poses[k] @ se3.exp(taus[k] * twists[k])", "world_T_imu @ se3.exp(taus[:k + 1] @ twists[:k + 1])"))
+dead_reckon.slip("straight line in each step", """p + R v tau takes the body for one that moves first and turns
+    afterwards. Use the exponential of the whole twist.""",
+    ("se3.exp(taus[k] * twists[k])", "se3.pose(se3.so3_exp(taus[k] * twists[k, 3:]), taus[k] * twists[k, :3])"))
+dead_reckon.slip("one array changed again and again", """The list holds the same array many times, and each step changes
+    it: append a new one, T = T @ ... rather than T[:] = T @ ...""",
+    ("poses = [world_T_imu]", "T = world_T_imu.copy()\n    poses = [T]"),
+    ("poses.append(poses[k] @ se3.exp(taus[k] * twists[k]))",
+     "T[:] = T @ se3.exp(taus[k] * twists[k])\n        poses.append(T)"))
 
 
 def predictions(rng):
@@ -365,12 +294,6 @@ def predictions(rng):
     for _ in range(5):
         yield "random", (random_covariance(rng, 6), rng.normal(size=6), rng.uniform(0.2, 0.6),
                          random_covariance(rng, 6))
-
-
-def _predicted(covariance, twist, tau, Q, F=None, B=None):
-    F = se3.adjoint(se3.exp(-tau * twist)) if F is None else F
-    B = tau * se3.right_jacobian(tau * twist) if B is None else B
-    return F @ covariance @ F.T + B @ Q @ B.T
 
 
 @exercise(chapter=1, cases=predictions, shows=[odometry.predict], hints=[
@@ -388,34 +311,30 @@ def predict_covariance(covariance, twist, tau, Q):
     return F @ covariance @ F.T + B @ Q @ B.T
 
 
-predict_covariance.slip("noise not scaled by tau", """Q is the variance of one sample of the twist. Over the step
-that error lasts tau seconds, so it enters as tau^2 Q.""",
-                        ("tau * se3.right_jacobian(tau * twist)", "se3.right_jacobian(tau * twist)"))
-
-
-@predict_covariance.mistake("tau instead of tau squared", """An error of tau times the noise has tau^2 times its
-variance.""")
-def _(covariance, twist, tau, Q):
-    return _predicted(covariance, twist, tau, Q, B=tau**0.5 * se3.right_jacobian(tau * twist))
-
-
-predict_covariance.slip("the report's W", """The report adds tau^2 Q: it takes the right Jacobian for the identity.
-That is a few per cent off in a bend; here it is asked for exactly.""", ("(tau", "(0 * tau"))
-
-
-predict_covariance.slip("F of the wrong sign", """The error of the old pose is expressed in the old body frame; to
-reach the new one it goes back along the step: exp(-tau u^). With +tau it would go further away.""", ("-tau", "tau"))
-
-
+predict_covariance.slip("noise not scaled by tau", """Q is the variance of one sample of the twist. Over the step that
+    error lasts tau seconds, so it enters as tau^2 Q.""", ("tau * se3.right", "se3.right"))
+predict_covariance.slip("tau instead of tau squared", "An error of tau times the noise has tau^2 times its variance.",
+    ("B = tau *", "B = tau**0.5 *"))
+predict_covariance.slip("the report's W", """The report adds tau^2 Q: it takes the right Jacobian for the identity. That
+    is a few per cent off in a bend; here it is asked for exactly.""", ("se3.right_jacobian(tau * twist)", "np.eye(6)"))
+predict_covariance.slip("F of the wrong sign", """The error of the old pose is expressed in the old body frame; to reach
+    the new one it goes back along the step: exp(-tau u^). With +tau it would go further away.""", ("-tau", "tau"))
 predict_covariance.slip("world and body mixed", """F = I belongs to an error expressed in the world frame (left
-perturbation). The right perturbation is expressed in the body frame, which has moved.""", ("twist))", "0 * twist))"))
-
-
+    perturbation). The right perturbation is expressed in the body frame, which has moved.""",
+    ("se3.adjoint(se3.exp(-tau * twist))", "np.eye(6)"))
 predict_covariance.slip("F^T P F", "An error F e has the covariance F P F^T: the transpose stands on the right.",
-                        ("se3.adjoint(se3.exp(-tau * twist))", "se3.adjoint(se3.exp(-tau * twist)).T"))
-
-
-predict_covariance.slip("no noise added", "Without B Q B^T the filter never becomes less sure.", ("B @", "0 * B @"))
+    ("F @ covariance @ F.T", "F.T @ covariance @ F"))
+predict_covariance.slip("no noise added", "Without B Q B^T the filter never becomes less sure.", (" + B @ Q @ B.T", ""))
+predict_covariance.slip("Q added as it is", """Q is the covariance of a sample of the twist, not of the pose. An error
+    of the twist moves the pose by B = tau J_r: add B Q B^T.""", ("B @ Q @ B.T", "Q"))
+predict_covariance.slip("tau Q added", """An error of the twist moves the pose by tau times itself, so the variance has
+    tau^2: add B Q B^T.""", ("B @ Q @ B.T", "tau * Q"))
+predict_covariance.slip("tau forgotten in F", "A twist is a velocity: the step is tau times the twist, in F as in B.",
+    ("exp(-tau * twist)", "exp(-twist)"))
+predict_covariance.slip("J_r of the twist", """B is tau J_r(tau u): the Jacobian belongs to the step, which is tau times
+    the twist.""", ("right_jacobian(tau * twist)", "right_jacobian(twist)"))
+predict_covariance.slip("noise carried along by F", """B expresses the noise in the body frame at the end of the step
+    already: F acts on P alone.""", ("F @ covariance @ F.T + B @ Q @ B.T", "F @ (covariance + B @ Q @ B.T) @ F.T"))
 
 
 def datasheets(rng):
@@ -423,10 +342,6 @@ def datasheets(rng):
         yield f"{rate:g} Hz", (0.66, 0.02, rate)
     for _ in range(4):
         yield "random", (rng.uniform(0.05, 3.0), rng.uniform(0.01, 0.5), rng.uniform(5.0, 400.0))
-
-
-def _W(velocity_density, gyro_density, tau):
-    return tau * np.diag([velocity_density**2] * 3 + [gyro_density**2] * 3)
 
 
 @exercise(chapter=1, cases=datasheets, shows=[noise.Noise.from_density, noise.Noise.process_covariance], hints=[
@@ -450,36 +365,25 @@ def datasheet_noise(angle_random_walk, velocity_density, rate):
 
 
 datasheet_noise.slip("degrees", "The datasheet gives degrees, W wants radians: np.radians.",
-                     ("np.radians(angle_random_walk)", "angle_random_walk"))
-
-
+    ("np.radians(angle_random_walk)", "angle_random_walk"))
 datasheet_noise.slip("per root hour taken for per root second", """The unit is degrees per root *hour*: divide by
-sqrt(3600) = 60.""", ("3600", "1"))
-
-
+    sqrt(3600) = 60.""", (" / np.sqrt(3600)", ""))
 datasheet_noise.slip("divided by 3600", """An hour has 3600 seconds, but the unit is per *root* hour: divide by
-sqrt(3600) = 60.""", ("np.sqrt(3600)", "3600"))
-
-
-@datasheet_noise.mistake("density taken for sigma", """tau^2 density^2 takes the density for the sigma of one sample.
-That sigma is density times sqrt(rate): the faster the samples, the noisier each of them.""")
-def _(angle_random_walk, velocity_density, rate):
-    return _W(velocity_density, np.radians(angle_random_walk) / 60, 1 / rate**2)
-
-
-datasheet_noise.slip("rate squared", """sigma of one sample is density times sqrt(rate), so its variance has the
-rate once, not squared.""", ("1 / rate", "np.sqrt(1 / rate)"))
-
-
-datasheet_noise.slip("covariance of a sample", """This is the covariance of one IMU sample, Q. W is that of one step
-of the pose: tau^2 Q.""", ("1 / rate", "1"))
-
-
-@datasheet_noise.mistake("not squared", "W holds variances: square the densities.")
-def _(angle_random_walk, velocity_density, rate):
-    return np.diag([velocity_density] * 3 + [np.radians(angle_random_walk) / 60] * 3) / rate
-
-
-@datasheet_noise.mistake("rotation and translation swapped", "The order is [position, rotation]: velocity first.")
-def _(angle_random_walk, velocity_density, rate):
-    return np.roll(datasheet_noise.reference(angle_random_walk, velocity_density, rate), 3, axis=(0, 1))
+    sqrt(3600) = 60.""", ("np.sqrt(3600)", "3600"))
+datasheet_noise.slip("density taken for sigma", """tau^2 density^2 takes the density for the sigma of one sample. That
+    sigma is density times sqrt(rate): the faster the samples, the noisier each of them.""",
+    ("velocity_density * np.sqrt(rate)", "velocity_density"), ("gyro_density * np.sqrt(rate)", "gyro_density"))
+datasheet_noise.slip("no rate left in W", """The sigma of one sample is density times sqrt(rate), so its variance has
+    the rate once, and W has the density squared divided by the rate: the longer a step, the larger W.""",
+    ("velocity_density * np.sqrt(rate)", "velocity_density * rate"),
+    ("gyro_density * np.sqrt(rate)", "gyro_density * rate"))
+datasheet_noise.slip("covariance of a sample", """This is the covariance of one IMU sample, Q. W is that of one step of
+    the pose: tau^2 Q.""", ("tau = 1 / rate", "tau = 1"))
+datasheet_noise.slip("not squared", "W holds variances: square the densities.",
+    ("tau**2 * sigma_v**2", "tau * velocity_density"), ("tau**2 * sigma_omega**2", "tau * gyro_density"))
+datasheet_noise.slip("rotation and translation swapped", "The order is [position, rotation]: velocity first.",
+    ("W[:3, :3]", "W[-3:, -3:]"), ("W[3:, 3:]", "W[:3, :3]"))
+datasheet_noise.slip("degrees of radians", """np.degrees goes from radians to degrees. Here it is the other way:
+    np.radians.""", ("np.radians", "np.degrees"))
+datasheet_noise.slip("sigmas not squared", "W holds variances: tau^2 sigma^2.", ("sigma_v**2", "sigma_v"),
+    ("sigma_omega**2", "sigma_omega"))

@@ -27,6 +27,30 @@ def sigmas_over_time(trajectory):
 
 
 @style.styled
+def heading_band(drive, trajectory, method="dead_reckoning"):
+    """How wrong the heading is, and how wrong it claims to be: error over time and a 95 % band.
+
+    drive : Drive. trajectory : Trajectory. method : key of `style.COLOURS`. Without truth the band is drawn
+    around zero and nothing is known about the error. Returns a Figure.
+    """
+    t = trajectory.times - trajectory.times[0]
+    band = np.degrees(drawing.TWO_SIDED_95 * drawing.heading_sigma(trajectory))
+    figure, axes = drawing.new_figure()
+    axes.fill_between(t, -band, band, color=style.COLOURS[method], alpha=0.25, linewidth=0, label="95 % band claimed")
+    axes.set(xlabel="time since start (s)", ylabel="heading error (°)", xlim=(0, t[-1] or 1))
+    name = style.LABELS[method][0].upper() + style.LABELS[method][1:]
+    if not drive.has_truth:
+        return drawing.finish(figure, f"{name} claims its heading to ±{band[-1]:.2g}° at the end")
+    error = np.degrees(drawing.heading_error(drive.true_world_T_imu, trajectory.world_T_imu))
+    axes.plot(t, error, color=style.COLOURS[method], label="estimated minus true heading")
+    known = np.isfinite(error)
+    share = 100 * np.mean(np.abs(error[known]) <= band[known])
+    claim, off = band[known][-1], abs(error[known][-1])
+    return drawing.finish(figure, f"{name} claims its heading to ±{claim:.2g}° at the end and is {off:.2g}° off: "
+                          f"inside the 95 % band in {share:.0f} % of frames")
+
+
+@style.styled
 def cloud_and_outlines(truth, positions, outlines, shares):
     """End positions of many runs with two outlines that should hold 95 % of them.
 

@@ -9,7 +9,7 @@ from matplotlib.path import Path
 from ... import odometry, se3
 from ...plots.style import COLOURS, ellipse_points
 from ...widgets.canvas import Number, Picture
-from ...widgets.panels import LETTERING, add_axes, legend_above
+from ..panels import LETTERING, add_axes, legend_above
 
 TAU = 0.5  # s, one IMU sample
 SAMPLES = 20
@@ -123,7 +123,7 @@ def round_up(length):
     return power * next(m for m in (1, 1.2, 1.5, 2, 2.5, 3, 4, 5, 6, 8, 10) if m * power >= length)
 
 
-class Outcome:
+class Motion:
     """A twist integrated: by Euler's method, with noise, and as a Gaussian.
 
     key : the values of the sliders. normal : (SAMPLES, n, 6), standard normal numbers.
@@ -213,10 +213,10 @@ class TwistPicture(Picture):
         self._show(self.outcome(**state))
 
     def outcome(self, v_x, v_y, v_z, omega_x, omega_y, omega_z, samples, steps, sigma_omega):
-        """What there is to show, an `Outcome`; the last is kept, as picture and caption ask for the same."""
+        """What there is to show, a `Motion`; the last is kept, as picture and caption ask for the same."""
         key = (v_x, v_y, v_z, omega_x, omega_y, omega_z, samples, steps, sigma_omega)
         if self._last is None or self._last.key != key:
-            self._last = Outcome(key, self.normal)
+            self._last = Motion(key, self.normal)
         return self._last
 
     def _show(self, outcome):

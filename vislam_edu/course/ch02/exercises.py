@@ -31,30 +31,17 @@ def bearing(K, uv):
     return np.array([x, y, 1.0])
 
 
-@bearing.mistake("pixels used as bearings", """[u, v, 1] is a pixel, not a direction: it has to go through K^-1. The
-report's section 3.2.1 makes this slip.""")
-def _(K, uv):
-    return np.append(uv, 1.0)
-
-
-@bearing.mistake("K instead of its inverse", "K takes bearings to pixels. Here it is the other way: K^-1.")
-def _(K, uv):
-    return K @ np.append(uv, 1.0)
-
-
-@bearing.mistake("focal length forgotten", """Subtracting the principal point gives pixels from the centre; dividing by
-f_u and f_v turns them into a direction.""")
-def _(K, uv):
-    return np.append(uv - K[:2, 2], 1.0)
-
-
-bearing.slip("scaled to length one", """A bearing here has depth one (third entry 1), so that depth times bearing is
-the point. Leave out the normalisation.""",
-             ("np.array([x, y, 1.0])", "np.array([x, y, 1.0]) / np.linalg.norm(np.array([x, y, 1.0]))"))
-
-
+bearing.slip("pixels used as bearings", """[u, v, 1] is a pixel, not a direction: it has to go through K^-1. The
+    report's section 3.2.1 makes this slip.""", ("[x, y, 1.0]", "[uv[0], uv[1], 1.0]"))
+bearing.slip("K instead of its inverse", "K takes bearings to pixels. Here it is the other way: K^-1.",
+    ("np.array([x, y, 1.0])", "K @ [uv[0], uv[1], 1.0]"))
+bearing.slip("focal length forgotten", """Subtracting the principal point gives pixels from the centre; dividing by f_u
+    and f_v turns them into a direction.""", (" / K[0, 0]", ""), (" / K[1, 1]", ""))
+bearing.slip("scaled to length one", """A bearing here has depth one (third entry 1), so that depth times bearing is the
+    point. Leave out the normalisation.""",
+    ("np.array([x, y, 1.0])", "np.array([x, y, 1.0]) / np.linalg.norm([x, y, 1.0])"))
 bearing.slip("one focal length for both axes", "u goes with f_u = K[0, 0], v with f_v = K[1, 1].",
-             ("K[1, 1]", "K[0, 0]"))
+    ("K[1, 1]", "K[0, 0]"))
 
 
 def two_views(rng):
@@ -64,13 +51,6 @@ def two_views(rng):
         point, K = random_points_cam(rng, 1)[0], random_calibration(rng)
         seen = [K @ q / q[2] for q in (point, R.T @ (point - p))]
         yield label, (K, seen[0][:2], seen[1][:2], R, p)
-
-
-def _met(z1, z2, R, p):
-    """Point in the frame of camera 1 where two bearings meet, by the report's closed form."""
-    a = R.T @ z1 - (R.T @ z1)[2] * z2
-    b = R.T @ p - (R.T @ p)[2] * z2
-    return (a @ b) / (a @ a) * z1
 
 
 @exercise(chapter=2, cases=two_views, shows=[stereo.triangulate_bearings, stereo.bearing], hints=[
@@ -102,30 +82,17 @@ def _(K, uv1, uv2, R, p):
     return depths[0] * z1
 
 
-@triangulate_bearings.mistake("pixels used as bearings", """The equations hold for bearings K^-1 [u, v, 1], not for [u,
-v, 1] itself. The report's section 3.2.1 makes this slip.""")
-def _(K, uv1, uv2, R, p):
-    return _met(np.append(uv1, 1.0), np.append(uv2, 1.0), R, p)
-
-
-@triangulate_bearings.mistake("R in place of its transpose", """R and p are the pose of camera 2 in camera 1. Into
-camera 2 go R^T (m - p): the transpose.""")
-def _(K, uv1, uv2, R, p):
-    return _met(stereo.bearing(K, uv1), stereo.bearing(K, uv2), R.T, p)
-
-
-triangulate_bearings.slip("baseline of the wrong sign", """p points from camera 1 to camera 2. With the other sign
-the point comes out behind the cameras.""", ("b)", "-b)"))
-
-
-@triangulate_bearings.mistake("expressed in camera 2", """This is the point in the frame of camera 2. Its depth along
-the first bearing, times that bearing, tells it in camera 1.""")
-def _(K, uv1, uv2, R, p):
-    return R.T @ (_met(stereo.bearing(K, uv1), stereo.bearing(K, uv2), R, p) - p)
-
-
-triangulate_bearings.slip("first depth on the second bearing", """l1 is the depth along z1. Times z2 it is no point
-that anyone sees.""", ("* z1", "* z2"))
+triangulate_bearings.slip("pixels used as bearings", """The equations hold for bearings K^-1 [u, v, 1], not for [u, v,
+    1] itself. The report's section 3.2.1 makes this slip.""", ("stereo.bearing(K, uv1)", "np.append(uv1, 1.0)"),
+    ("stereo.bearing(K, uv2)", "np.append(uv2, 1.0)"))
+triangulate_bearings.slip("R in place of its transpose", """R and p are the pose of camera 2 in camera 1. Into camera 2
+    go R^T (m - p): the transpose.""", ("R.T @ z1", "R @ z1"), ("R.T @ p", "R @ p"))
+triangulate_bearings.slip("baseline of the wrong sign", """p points from camera 1 to camera 2. With the other sign the
+    point comes out behind the cameras.""", ("R.T @ p", "-R.T @ p"))
+triangulate_bearings.slip("expressed in camera 2", """This is the point in the frame of camera 2. Its depth along the
+    first bearing, times that bearing, tells it in camera 1.""", ("depth * z1", "R.T @ (depth * z1 - p)"))
+triangulate_bearings.slip("first depth on the second bearing", """l1 is the depth along z1. Times z2 it is no point that
+    anyone sees.""", ("* z1", "* z2"))
 
 
 # --- disparity --------------------------------------------------------------------------------------------
@@ -137,14 +104,8 @@ def stereo_pixels(rng):
     for _ in range(4):
         camera = random_camera(rng)
         pixels = camera.project(random_points_cam(rng, 6))[0]
-        pixels[1, 2] = pixels[1, 0]
-        pixels[4, 2] = pixels[4, 0] + 3.0
+        pixels[[1, 3, 4], 2] = pixels[[1, 3, 4], 0] - [0.0, 0.2, -3.0]
         yield "a zero and a negative disparity", (camera.K.copy(), camera.baseline, pixels)
-
-
-def _by_disparity(K, baseline, pixels, disparity, rays=None):
-    rays = stereo.bearing(K, pixels[:, :2]) if rays is None else rays
-    return (K[0, 0] * baseline / np.where(disparity == 0.0, np.nan, disparity))[:, None] * rays
 
 
 def _good_points_only(results):
@@ -172,44 +133,25 @@ def triangulate(K, baseline, pixels):
     return np.column_stack([x, y, z]), ok
 
 
-triangulate.slip("disparity at or below zero triangulated", """Noise can bring the disparity of a far point to zero
-or below. Its depth would be infinite or behind the camera: ok must be False there.""", ("d >", "u_left >"))
-
-
+triangulate.slip("disparity at or below zero triangulated", """Noise can bring the disparity of a far point to zero or
+    below. Its depth would be infinite or behind the camera: ok must be False there.""",
+    ("d > 0", "np.full(len(d), True)"))
 triangulate.slip("zero disparity let through", "A disparity of exactly zero is infinitely far: d > 0, not d >= 0.",
-                 ("> 0", "> -1"))
-
-
+    ("d > 0", "d >= 0"))
 triangulate.slip("negative disparity let through", """Where u_right lies to the right of u_left the point comes out
-behind the camera: d > 0, not d != 0.""", ("d > 0", "d != 0"))
-
-
-@triangulate.mistake("absolute disparity", """A negative disparity is a wrong measurement; its absolute value makes it
-look like a good one.""")
-def _(K, baseline, pixels):
-    d = np.abs(pixels[:, 0] - pixels[:, 2])
-    return _by_disparity(K, baseline, pixels, d), d > 0
-
-
+    behind the camera: d > 0, not d != 0.""", ("d > 0", "d != 0"))
+triangulate.slip("absolute disparity", """A negative disparity is a wrong measurement; its absolute value makes it look
+    like a good one.""", ("u_left - u_right", "np.abs(u_left - u_right)"))
 triangulate.slip("disparity of the wrong sign", """Seen from the right camera everything moves left: d = u_left -
-u_right.""", ("u_left - u_right", "u_right - u_left"))
-
-
-@triangulate.mistake("pixels used as bearings", "Depth times [u, v, 1] is no point: use the bearing K^-1 [u, v, 1].")
-def _(K, baseline, pixels):
-    d = pixels[:, 0] - pixels[:, 2]
-    return _by_disparity(K, baseline, pixels, d, np.column_stack([pixels[:, :2], np.ones(len(pixels))])), d > 0
-
-
+    u_right.""", ("u_left - u_right", "u_right - u_left"))
+triangulate.slip("pixels used as bearings", "Depth times [u, v, 1] is no point: use the bearing K^-1 [u, v, 1].",
+    ("(u_left - K[0, 2]) / K[0, 0]", "u_left"), ("(v_left - K[1, 2]) / K[1, 1]", "v_left"))
 triangulate.slip("baseline forgotten", "f_u / d has no unit; times the baseline it is a depth in metres.",
-                 ("baseline ", "ok "))
-
-
-@triangulate.mistake("principal point forgotten", "u is counted from the corner of the image; the axis is at c_u, c_v.")
-def _(K, baseline, pixels):
-    d = pixels[:, 0] - pixels[:, 2]
-    rays = np.column_stack([pixels[:, :2] / [K[0, 0], K[1, 1]], np.ones(len(pixels))])
-    return _by_disparity(K, baseline, pixels, d, rays), d > 0
+    ("K[0, 0] * baseline / d", "K[0, 0] / d"))
+triangulate.slip("principal point forgotten", "u is counted from the corner of the image; the axis is at c_u, c_v.",
+    ("(u_left - K[0, 2])", "u_left"), ("(v_left - K[1, 2])", "v_left"))
+triangulate.slip("mask the other way round", "ok says which measurements are points: True where d > 0.",
+    ("d > 0", "d <= 0"))
 
 
 def points_and_sigma(rng):
@@ -217,10 +159,6 @@ def points_and_sigma(rng):
     for _ in range(5):
         yield "random", (random_calibration(rng), rng.uniform(0.3, 0.8), random_points_cam(rng, 1)[0],
                          rng.uniform(0.4, 3.0))
-
-
-def _H(K, baseline, point):
-    return StereoCamera(K, baseline, np.eye(4)).projection_jacobian(point)[:, :3]
 
 
 @exercise(chapter=2, cases=points_and_sigma, hints=[
@@ -242,26 +180,16 @@ def triangulation_covariance(K, baseline, point, sigma_px):
     return sigma_px**2 * np.linalg.inv(H.T @ H)
 
 
-triangulation_covariance.slip("sigma not squared", "V holds variances: sigma_px squared.", ("2 ", "1 "))
-
-
+triangulation_covariance.slip("sigma not squared", "V holds variances: sigma_px squared.", ("sigma_px**2", "sigma_px"))
 triangulation_covariance.slip("information, not covariance", "H^T V^-1 H is the information matrix; invert it.",
-    ("sigma_px**2 * np.linalg.inv(H.T @ H)", "np.linalg.inv(sigma_px ** 2 * np.linalg.inv(H.T @ H))"))
-
-
-@triangulation_covariance.mistake("depth variance only", """d z / d disparity gives the variance along the axis alone; x
-and y move with the depth, and carry noise of their own.""")
-def _(K, baseline, point, sigma_px):
-    slope = point[2]**2 / (K[0, 0] * baseline)
-    return np.diag([0, 0, 2 * sigma_px**2 * slope**2])
-
-
-@triangulation_covariance.mistake("v_right left out", """All four numbers carry noise. With two measurements of v, y is
-known better than with one.""")
-def _(K, baseline, point, sigma_px):
-    H = _H(K, baseline, point)[:3]
-    return sigma_px**2 * np.linalg.inv(H.T @ H)
-
-
-triangulation_covariance.slip("propagated through H", """H V H^T takes a covariance of a point to pixels. The way
-back is (H^T V^-1 H)^-1.""", ("np.linalg.inv(H.T @ H)", "H.T @ H"))
+    ("sigma_px**2 * np.linalg.inv(H.T @ H)", "H.T @ H / sigma_px**2"))
+triangulation_covariance.slip("depth variance only", """d z / d disparity gives the variance along the axis alone; x and
+    y move with the depth, and carry noise of their own.""",
+    ("sigma_px**2 * np.linalg.inv(H.T @ H)", "np.diag([0, 0, 2 * (sigma_px * z**2 / (f_u * baseline))**2])"))
+triangulation_covariance.slip("v_right left out", """All four numbers carry noise. With two measurements of v, y is
+    known better than with one.""", ("H.T @ H", "H[:3].T @ H[:3]"))
+triangulation_covariance.slip("propagated through H", """H V H^T takes a covariance of a point to pixels. The way back
+    is (H^T V^-1 H)^-1.""", ("np.linalg.inv(H.T @ H)", "H.T @ H"))
+triangulation_covariance.slip("third column divided once", "d (x / z) / d z is -x / z^2: the depth enters squared.",
+    ("-f_u * x / z**2", "-f_u * x / z"), ("[0, f_v / z, -f_v * y / z**2],\n", "[0, f_v / z, -f_v * y / z],\n"),
+    ("(x - baseline) / z**2", "(x - baseline) / z"), ("-f_v * y / z**2]])", "-f_v * y / z]])"))

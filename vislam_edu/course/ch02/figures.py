@@ -8,6 +8,7 @@ import numpy as np
 from matplotlib.collections import LineCollection
 
 from ...plots import drawing, style
+from ..panels import new_image
 
 
 @style.styled
@@ -15,7 +16,7 @@ def disparities(drive, k):
     """The features of frame k: where the left camera sees each, where the right one does, and a line between."""
     ids, pixels = drive.observed(k)
     disparity = pixels[:, 0] - pixels[:, 2]
-    figure, axes = drawing.new_image()
+    figure, axes = new_image()
     axes.add_collection(LineCollection(list(pixels.reshape(-1, 2, 2)), colors=style.COLOURS["faded"],
                                        label="disparity"))
     axes.plot(*pixels[:, 2:].T, "x", color=style.COLOURS["predicted"], label="right camera")

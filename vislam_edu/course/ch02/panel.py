@@ -7,7 +7,7 @@ from matplotlib.path import Path
 from ...plots.style import COLOURS, ellipse_points
 from ...simulate import kitti_camera
 from ...widgets.canvas import Number, Picture
-from ...widgets.panels import add_axes, image_axes, legend, legend_above
+from ..panels import add_axes, image_axes, legend, legend_above
 
 DRAWS = 500
 NEAR, FAR = 4.0, 60.0  # m

@@ -1,7 +1,6 @@
 """Exercises of notebook 03: the projection, its derivative, and the Kalman update of landmarks."""
 
 import numpy as np
-from scipy.linalg import block_diag
 
 from ... import kalman, mapping, stereo
 from ...stereo import StereoCamera
@@ -15,10 +14,6 @@ def points(rng):
     yield "one point, 10 m ahead", (CAMERA, np.array([[0.0, 0.0, 10.0]]))
     for _ in range(5):
         yield "random", (random_camera(rng), random_points_cam(rng, 4))
-
-
-def _homogeneous(points_cam):
-    return np.concatenate([points_cam, np.ones(points_cam.shape[:-1] + (1,))], axis=-1)
 
 
 @exercise(chapter=3, cases=points, shows=[StereoCamera.project, stereo.pi, vars(StereoCamera)["K_s"].func], hints=[
@@ -45,27 +40,21 @@ def _(camera, points_cam):
     return np.column_stack([u_left, v_left, u_right, v_left])
 
 
-project.slip("not divided by depth", "Perspective is the division by the depth q_3: pi(q) = q / q_3.", ("2", "3"))
-
-
-@project.mistake("baseline not divided by depth", """Divide all of q by its depth, the 1 at its end too: the shift
-between the images is f_u b / z, not f_u b.""")
-def _(camera, points_cam):
-    return _homogeneous(points_cam / points_cam[:, 2:]) @ camera.K_s.T
-
-
-project.slip("right camera on the left", """The right camera sees everything further left: u_right = u_left - f_u b
-/ z.""", ("points_cam.T", "-points_cam.T"))
-
-
+project.slip("not divided by depth", "Perspective is the division by the depth q_3: pi(q) = q / q_3.",
+    ("q / q[2]", "q"))
+project.slip("baseline not divided by depth", """Divide all of q by its depth, the 1 at its end too: the shift between
+    the images is f_u b / z, not f_u b.""", ("q / q[2]", "np.vstack([q[:3] / z, q[3:]])"))
+project.slip("right camera on the left", "The right camera sees everything further left: u_right = u_left - f_u b / z.",
+    ("np.ones(len(z))", "-np.ones(len(z))"))
 project.slip("no baseline", "u_right is not u_left: the right camera is moved by the baseline.",
-             ("np.ones(len(z))", "0 * np.ones(len(z))"))
-
-
-@project.mistake("principal point forgotten", "Pixels are counted from the corner of the image: add c_u and c_v.")
-def _(camera, points_cam):
-    c_u, c_v = camera.K[:2, 2]
-    return camera.project(points_cam)[0] - [c_u, c_v, c_u, c_v]
+    ("np.ones(len(z))", "np.zeros(len(z))"))
+project.slip("principal point forgotten", "Pixels are counted from the corner of the image: add c_u and c_v.",
+    ("(q / q[2])).T", "(q / q[2])).T - camera.K_s[:, 2]"))
+project.slip("divided by the distance", """The depth is the coordinate along the optical axis, q_3, not the distance to
+    the point.""", ("q / q[2]", "q / np.linalg.norm(q[:3], axis=0)"))
+project.slip("all divided by the first depth", "Each point is divided by its own depth.", ("q / q[2]", "q / q[2, 0]"))
+project.slip("columns in another order", "The order is u_left, v_left, u_right, v_right.",
+    ("(q / q[2])).T", "(q / q[2])).T[:, [0, 2, 1, 3]]"))
 
 
 def one_point(rng):
@@ -90,38 +79,21 @@ def projection_jacobian(camera, point_cam):
     return camera.K_s @ D
 
 
-@projection_jacobian.mistake("1/q3 forgotten", """The whole matrix carries a factor 1/q_3: a point twice as far away
-moves half as much in the image.""")
-def _(camera, point_cam):
-    return point_cam[2] * camera.projection_jacobian(point_cam)
-
-
-@projection_jacobian.mistake("third column divided once", """The third column is divided by q_3 twice: d(q_1 / q_3) / d
-q_3 = -q_1 / q_3^2.""")
-def _(camera, point_cam):
-    D = stereo.dpi_dq(np.append(point_cam, 1.0))
-    D[:, 2] *= point_cam[2]
-    return camera.K_s @ D
-
-
-@projection_jacobian.mistake("sign of the third column", "d(1 / q_3) / d q_3 is negative: -q_1 / q_3^2.")
-def _(camera, point_cam):
-    return camera.projection_jacobian(point_cam) * [1, 1, -1, 1]
-
-
+projection_jacobian.slip("1/q3 forgotten", """The whole matrix carries a factor 1/q_3: a point twice as far away moves
+    half as much in the image.""", ("@ D", "@ (z * D)"))
+projection_jacobian.slip("third column divided once", """The third column is divided by q_3 twice: d(q_1 / q_3) / d q_3
+    = -q_1 / q_3^2.""", ("-x / z**2", "-x / z"), ("-y / z**2", "-y / z"), ("-1 / z**2", "-1 / z"))
+projection_jacobian.slip("sign of the third column", "d(1 / q_3) / d q_3 is negative: -q_1 / q_3^2.", ("-x", "x"),
+    ("-y", "y"), ("-1", "1"))
 projection_jacobian.slip("third column forgotten", """Moving a point away moves its pixels towards the centre: the
-derivative by q_3 is not zero.""", ("@ D", "@ np.diag(np.diag(D))"))
-
-
-@projection_jacobian.mistake("third row not zero", """The third entry of q / q_3 is always 1: its derivative is zero, by
-q_3 too.""")
-def _(camera, point_cam):
-    D = stereo.dpi_dq(np.append(point_cam, 1.0))
-    D[2, 2] = 1 / point_cam[2]
-    return camera.K_s @ D
-
-
+    derivative by q_3 is not zero.""", ("-x / z**2", "0"), ("-y / z**2", "0"), ("-1 / z**2", "0"))
+projection_jacobian.slip("third row not zero", """The third entry of q / q_3 is always 1: its derivative is zero, by q_3
+    too.""", ("[0, 0, 0, 0]", "[0, 0, 1 / z, 0]"))
 projection_jacobian.slip("K_s forgotten", "This is dpi/dq alone; the pixels are K_s pi(q).", ("camera.K_s @ D", "D"))
+projection_jacobian.slip("1/z once in the rows of x and y", """d (x / z) / d z = -x / z^2: the depth enters squared in
+    all rows, not only in the last.""", ("-x / z**2", "-x / z"), ("-y / z**2", "-y / z"))
+projection_jacobian.slip("sign of x and y in the third column", """d (x / z) / d z = -x / z^2, negative as in the last
+    row.""", ("-x", "x"), ("-y", "y"))
 
 
 def one_landmark(rng):
@@ -148,33 +120,23 @@ def landmark_jacobian(camera, world_T_imu, landmark):
 
 
 landmark_jacobian.slip("extrinsics forgotten", """Between the IMU and the camera there is a rotation too: cam_T_imu
-belongs between K_s dpi/dq and R^T.""", ("J @ camera.cam_T_imu[:3, :3]", "J"))
-
-
+    belongs between K_s dpi/dq and R^T.""", ("J @ camera.cam_T_imu[:3, :3]", "J"))
 landmark_jacobian.slip("pose in place of its inverse", """Landmarks go from the world to the IMU: T^-1, so R^T. The
-report's section 3.2.2 writes T.""", ("@ R.T", "@ R"))
-
-
+    report's section 3.2.2 writes T.""", ("@ R.T", "@ R"))
 landmark_jacobian.slip("R^T forgotten", "This is the derivative by the point in the IMU frame; R^T is missing.",
-                       ("J @ camera.cam_T_imu[:3, :3] @ R.T", "J @ camera.cam_T_imu[:3, :3]"))
-
-
-@landmark_jacobian.mistake("1/q3 forgotten", "dpi/dq carries a factor 1/q_3.")
-def _(camera, world_T_imu, landmark):
-    q = camera.to_cam(world_T_imu, landmark)
-    return q[2] * camera.landmark_jacobian(world_T_imu, landmark)
-
-
-landmark_jacobian.slip("sign flipped", """Only the pose enters through its inverse; the derivative by the landmark
-has no minus.""", ("J @", "-J @"))
-
-
+    (" @ R.T\n", "\n"))
+landmark_jacobian.slip("1/q3 forgotten", "dpi/dq carries a factor 1/q_3.", ("J @", "q[2] * J @"))
+landmark_jacobian.slip("sign flipped", """Only the pose enters through its inverse; the derivative by the landmark has
+    no minus.""", ("J @", "-J @"))
 landmark_jacobian.slip("imu_T_cam in place of cam_T_imu", "From the IMU to the camera goes cam_T_imu.",
-                       ("@ camera.cam_T_imu", "@ camera.imu_T_cam"))
-
-
-landmark_jacobian.slip("taken at the point in the IMU frame", """dpi/dq is taken at q, the point in the camera
-frame, depth along z. In the IMU frame z points up.""", ("q)", "s)"))
+    ("@ camera.cam_T_imu", "@ camera.imu_T_cam"))
+landmark_jacobian.slip("taken at the point in the IMU frame", """dpi/dq is taken at q, the point in the camera frame,
+    depth along z. In the IMU frame z points up.""", ("jacobian(q)", "jacobian(s)"))
+landmark_jacobian.slip("R^T and the extrinsics exchanged", """From the world to the camera: R^T first, then cam_T_imu.
+    The first acts first, so it stands on the right.""",
+    ("camera.cam_T_imu[:3, :3] @ R.T\n", "R.T @ camera.cam_T_imu[:3, :3]\n"))
+landmark_jacobian.slip("projection alone", """This is the derivative by the point in the camera frame. The landmark is
+    in the world: cam_T_imu and R^T follow.""", ("J @ camera.cam_T_imu[:3, :3] @ R.T", "J"))
 
 
 # --- Kalman update ----------------------------------------------------------------------------------------
@@ -184,10 +146,6 @@ def updates(rng):
         label = "random" if n > 1 else "1 unknown, 1 measurement"
         yield label, (random_covariance(rng, n, 1.0), rng.normal(size=(m, n)), random_covariance(rng, m, 1.0),
                       rng.normal(size=m))
-
-
-def _gain(P, H, V):
-    return P @ H.T @ np.linalg.inv(H @ P @ H.T + V)
 
 
 @exercise(chapter=3, cases=updates, shows=[kalman.update, kalman.gain, kalman.innovation_covariance],
@@ -202,56 +160,31 @@ def kalman_update(covariance, H, V, residual):
     """
     S = H @ covariance @ H.T + V
     K = covariance @ H.T @ np.linalg.inv(S)
+    return K @ residual, (np.eye(len(covariance)) - K @ H) @ covariance
+
+
+@kalman_update.otherwise
+def _joseph(covariance, H, V, residual):
+    S = H @ covariance @ H.T + V
+    K = covariance @ H.T @ np.linalg.inv(S)
     A = np.eye(len(covariance)) - K @ H
     return K @ residual, A @ covariance @ A.T + K @ V @ K.T
 
 
-@kalman_update.otherwise
-def _(covariance, H, V, residual):
-    S = H @ covariance @ H.T + V
-    K = covariance @ H.T @ np.linalg.inv(S)
-    return K @ residual, (np.eye(len(covariance)) - K @ H) @ covariance
-
-
-@kalman_update.mistake("noise left out of S", """S = H P H^T + V: the residual also scatters by the noise of the
-measurement.""")
-def _(covariance, H, V, residual):
-    K = covariance @ H.T @ np.linalg.inv(H @ covariance @ H.T)
-    return K @ residual, (np.eye(len(covariance)) - K @ H) @ covariance
-
-
-@kalman_update.mistake("covariance of the wrong sign", """A measurement never makes you less sure: (I - K H) P, not (I +
-K H) P.""")
-def _(covariance, H, V, residual):
-    K = _gain(covariance, H, V)
-    return K @ residual, (np.eye(len(covariance)) + K @ H) @ covariance
-
-
-@kalman_update.mistake("covariance not updated", """The mean has moved, so the filter has learned: the covariance
-shrinks.""")
-def _(covariance, H, V, residual):
-    return _gain(covariance, H, V) @ residual, covariance.copy()
-
-
-kalman_update.slip("Joseph form without K V K^T", """(I - K H) P (I - K H)^T is only half of the Joseph form; the
-noise that came in through the gain is the other half.""", ("+ K", "+ 0 * K"))
-
-
-kalman_update.slip("correction of the wrong sign", """The residual is measured minus predicted: the state moves by
-plus K r.""", ("return K", "return -K"))
-
-
-@kalman_update.mistake("S not inverted", "The gain is P H^T S^-1: solve with S, do not multiply by it.")
-def _(covariance, H, V, residual):
-    K = covariance @ H.T @ (H @ covariance @ H.T + V)
-    return K @ residual, (np.eye(len(covariance)) - K @ H) @ covariance
-
-
-@kalman_update.mistake("gain without the covariance", """The gain is P H^T S^-1: without P it does not know what is
-uncertain.""")
-def _(covariance, H, V, residual):
-    K = H.T @ np.linalg.inv(H @ covariance @ H.T + V)
-    return K @ residual, (np.eye(len(covariance)) - K @ H) @ covariance
+kalman_update.slip("noise left out of S", """S = H P H^T + V: the residual also scatters by the noise of the
+    measurement.""", (" + V", ""))
+kalman_update.slip("covariance of the wrong sign", """A measurement never makes you less sure: (I - K H) P, not (I + K
+    H) P.""", ("- K @ H", "+ K @ H"))
+kalman_update.slip("covariance not updated", "The mean has moved, so the filter has learned: the covariance shrinks.",
+    ("(np.eye(len(covariance)) - K @ H) @ covariance", "covariance"))
+kalman_update.slip("Joseph form without K V K^T", """(I - K H) P (I - K H)^T is only half of the Joseph form; the noise
+    that came in through the gain is the other half.""", (" + K @ V @ K.T", ""), of=_joseph)
+kalman_update.slip("correction of the wrong sign", """The residual is measured minus predicted: the state moves by plus
+    K r.""", ("return K", "return -K"))
+kalman_update.slip("S not inverted", "The gain is P H^T S^-1: solve with S, do not multiply by it.",
+    ("np.linalg.inv(S)", "S"))
+kalman_update.slip("gain without the covariance", """The gain is P H^T S^-1: without P it does not know what is
+    uncertain.""", ("K = covariance @ H.T", "K = H.T"))
 
 
 def noises(rng):
@@ -275,37 +208,27 @@ def stacked_noise(V, n):
 
 
 @stacked_noise.otherwise
-def _(V, n):
+def _by_kron(V, n):
     return np.kron(np.eye(n), V)
 
 
-@stacked_noise.mistake("np.tile in place of the Kronecker product", """np.tile repeats V everywhere: then all
-measurements share one noise, and the filter believes that two landmarks err together.""")
-def _(V, n):
-    return np.tile(V, (n, n))
-
-
-@stacked_noise.mistake("Kronecker product the wrong way round", """np.kron(V, I) groups all u_left, then all v_left, and
-so on. Here each measurement keeps its four numbers together: I first.""")
-def _(V, n):
-    return np.kron(V, np.eye(n))
-
-
-stacked_noise.slip("correlations dropped", """Only the diagonal of V has arrived. V is a full matrix and its blocks
-are copied whole.""", (" V", " np.diag(np.diag(V))"))
-
-
-@stacked_noise.mistake("V of one measurement", """One V for each of the n measurements: (4n, 4n), not the sum or mean of
-them.""")
-def _(V, n):
-    return block_diag(V, np.zeros((4 * n - 4, 4 * n - 4)))
+stacked_noise.slip("np.tile in place of the Kronecker product", """np.tile repeats V everywhere: then all measurements
+    share one noise, and the filter believes that two landmarks err together.""",
+    ("np.kron(np.eye(n), V)", "np.tile(V, (n, n))"), of=_by_kron)
+stacked_noise.slip("Kronecker product the wrong way round", """np.kron(V, I) groups all u_left, then all v_left, and so
+    on. Here each measurement keeps its four numbers together: I first.""", ("np.eye(n), V", "V, np.eye(n)"),
+    of=_by_kron)
+stacked_noise.slip("correlations dropped", """Only the diagonal of V has arrived. V is a full matrix and its blocks are
+    copied whole.""", ("= V", "= np.diag(np.diag(V))"))
+stacked_noise.slip("V of one measurement", """One V for each of the n measurements: (4n, 4n), not the sum or mean of
+    them.""", ("range(n)", "range(1)"))
 
 
 def corrections(rng):
     yield "all accepted", (rng.normal(size=(3, 3)), np.array([0, 1, 2]), np.ones(3, bool), rng.normal(size=(3, 3)))
     for _ in range(4):
         ids = rng.choice(8, size=5, replace=False)
-        accepted = np.array([True, False, True, True, False])
+        accepted = rng.permutation([True, False, True, True, False])
         yield "random", (rng.normal(size=(8, 3)), ids, accepted, rng.normal(size=(5, 3)))
 
 
@@ -325,22 +248,12 @@ def correct_landmarks(landmarks, ids, accepted, delta):
     return new
 
 
-correct_landmarks.slip("chained indexing updates a copy", """new[ids][accepted] += ... changes the temporary array
-that new[ids] made, and nothing else. Index once: new[ids[accepted]] += delta[accepted].""",
-                       ("return new", "return landmarks"))
-
-
+correct_landmarks.slip("chained indexing updates a copy", """new[ids][accepted] += ... changes the temporary array that
+    new[ids] made, and nothing else. Index once: new[ids[accepted]] += delta[accepted].""",
+    ("return new", "return landmarks"))
 correct_landmarks.slip("gate ignored", "Measurements that the gate rejected must not move their landmark.",
-                       ("accepted[i]", "accepted[0]"))
-
-
-@correct_landmarks.mistake("first rows instead of the accepted ones", """delta has a row for each measurement, rejected
-ones included: pick delta[accepted], not its first rows.""")
-def _(landmarks, ids, accepted, delta):
-    new = landmarks.copy()
-    new[ids[accepted]] += delta[:accepted.sum()]
-    return new
-
-
-correct_landmarks.slip("correction put in place of the landmark", """delta is a correction: add it (+=), do not
-assign it (=).""", ("new[ids[i]] += delta[i]", "new[ids[i]] = delta[i]"))
+    ("if accepted[i]", "if True"))
+correct_landmarks.slip("first rows instead of the accepted ones", """delta has a row for each measurement, rejected ones
+    included: pick delta[accepted], not its first rows.""", ("delta[i]", "delta[accepted[:i].sum()]"))
+correct_landmarks.slip("correction put in place of the landmark", """delta is a correction: add it (+=), do not assign
+    it (=).""", ("+=", "="))

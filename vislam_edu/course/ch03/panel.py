@@ -5,7 +5,7 @@ from scipy.stats import norm
 
 from ...plots.style import COLOURS
 from ...widgets.canvas import Number, Picture
-from ...widgets.panels import add_axes, legend_above
+from ..panels import add_axes, legend_above
 
 PREDICTED = 30.0  # m, where the car is predicted to be
 CONTROLS = {

@@ -1,23 +1,16 @@
 """Exercises of notebook 04: how a pose is corrected by the cameras."""
 
 import numpy as np
-from scipy.linalg import block_diag
 
 from ... import kalman, odometry, se3
 from ...stereo import StereoCamera
+from ..ch01.exercises import vectors
 from ..ch03.exercises import one_landmark
 from ..checks.exercise import exercise
 from ..checks.inputs import perturbed, random_camera, random_covariance, random_landmarks, random_pose
 
 
-def bare_points(rng):
-    yield "the origin", (np.zeros(3),)
-    yield "[1, 2, 3]", (np.array([1.0, 2.0, 3.0]),)
-    for _ in range(4):
-        yield "random", (rng.normal(size=3),)
-
-
-@exercise(chapter=4, cases=bare_points, shows=[se3.odot, se3.so3_hat], hints=[
+@exercise(chapter=4, cases=vectors, shows=[se3.odot, se3.so3_hat], hints=[
     "Write out hat(xi) @ [s, 1] = [omega x s + v, 0] and collect what multiplies v and what multiplies omega.",
     "[[I, -s^], [0, 0]]: omega x s is -s x omega."])
 def odot(point):
@@ -31,19 +24,11 @@ def odot(point):
     return D
 
 
-odot.slip("sign of the hat", "omega x s = -s x omega: the block is -s^.", ("-se3.so3_hat(point)", "se3.so3_hat(point)"))
-
-
+odot.slip("sign of the hat", "omega x s = -s x omega: the block is -s^.", ("-se3", "se3"))
 odot.slip("rotation and translation swapped", "The columns follow the twist [v, omega]: I first, -s^ second.",
-          ("return D", "return np.roll(D, 3, axis=-1)"))
-
-
-@odot.mistake("last row not zero", """hat(xi) has a zero last row: a direction of motion has a zero where a point has
-its one.""")
-def _(point):
-    D = se3.odot(point)
-    D[3] = 1.0
-    return D
+    ("D[:3, :3] = np", "D[:3, 3:] = np"), ("D[:3, 3:] = -", "D[:3, :3] = -"))
+odot.slip("last row not zero", """hat(xi) has a zero last row: a direction of motion has a zero where a point has its
+    one.""", ("np.zeros((4, 6))", "np.ones((4, 6))"))
 
 
 @exercise(chapter=4, cases=one_landmark, hints=[
@@ -64,54 +49,27 @@ def pose_jacobian(camera, world_T_imu, landmark):
     return -J @ np.hstack([np.eye(3), -se3.so3_hat(s)])
 
 
-def _s_and_J(camera, world_T_imu, landmark):
-    s = se3.transform(se3.inverse(world_T_imu), landmark)
-    return s, camera.projection_jacobian(se3.transform(camera.cam_T_imu, s))
-
-
 pose_jacobian.slip("extrinsics forgotten", """odot(s) is expressed in the IMU frame, dpi/dq in the camera frame:
-cam_T_imu stands between them.""",
-    ("camera.projection_jacobian(q)[:, :3] @ camera.cam_T_imu[:3, :3]", "camera.projection_jacobian(q)[:, :3]"))
-
-
-pose_jacobian.slip("sign flipped", """When the camera moves forward the points come towards it: the Jacobian carries
-a minus sign, because the pose enters through its inverse.""", ("-J", "J"))
-
-
-@pose_jacobian.mistake("world and body mixed", """This belongs to exp(e^) T, a perturbation expressed in the world
-frame. A right perturbation T exp(e^) is expressed in the body: odot(s), s in the IMU frame.""")
-def _(camera, world_T_imu, landmark):
-    _, J = _s_and_J(camera, world_T_imu, landmark)
-    return -J @ camera.cam_T_imu @ se3.inverse(world_T_imu) @ se3.odot(landmark)
-
-
+    cam_T_imu stands between them.""", ("[:, :3] @ camera.cam_T_imu[:3, :3]", "[:, :3]"))
+pose_jacobian.slip("sign flipped", """When the camera moves forward the points come towards it: the Jacobian carries a
+    minus sign, because the pose enters through its inverse.""", ("-J", "J"))
+pose_jacobian.slip("world and body mixed", """This belongs to exp(e^) T, a perturbation expressed in the world frame. A
+    right perturbation T exp(e^) is expressed in the body: odot(s), s in the IMU frame.""", ("-J @", "-J @ R.T @"),
+    ("hat(s)", "hat(landmark)"))
 pose_jacobian.slip("rotation and translation swapped", "The columns follow e = [v, omega]: position first.",
-    ("np.hstack([np.eye(3), -se3.so3_hat(s)])", "np.roll(np.hstack([np.eye(3), -se3.so3_hat(s)]), 3, axis=-1)"))
-
-
-pose_jacobian.slip("odot of the point in the camera frame", """The perturbation turns the body about the IMU:
-odot(s) with s in the IMU frame, not odot(q).""", ("s)", "q)"))
-
-
-@pose_jacobian.mistake("1/q3 forgotten", "dpi/dq carries a factor 1/q_3.")
-def _(camera, world_T_imu, landmark):
-    depth = camera.to_cam(world_T_imu, landmark)[2]
-    return depth * camera.pose_jacobian(world_T_imu, landmark)
+    ("[np.eye(3), -se3.so3_hat(s)]", "[-se3.so3_hat(s), np.eye(3)]"))
+pose_jacobian.slip("odot of the point in the camera frame", """The perturbation turns the body about the IMU: odot(s)
+    with s in the IMU frame, not odot(q).""", ("hat(s)", "hat(q)"))
+pose_jacobian.slip("1/q3 forgotten", "dpi/dq carries a factor 1/q_3.", ("-J @", "-q[2] * J @"))
 
 
 def frames(rng):
-    for _ in range(4):
+    for n in (5, 5, 2, 7):
         true, camera = random_pose(rng), random_camera(rng)
-        landmarks = random_landmarks(rng, true, 5, camera)
-        pixels = camera.project(camera.to_cam(true, landmarks))[0] + rng.normal(size=(5, 4))
+        landmarks = random_landmarks(rng, true, n, camera)
+        pixels = camera.project(camera.to_cam(true, landmarks))[0] + rng.normal(size=(n, 4))
         yield "random", (camera, perturbed(rng, true), random_covariance(rng, 6, 0.05), landmarks, pixels,
                          rng.uniform(0.7, 3.0))
-
-
-def _correction(camera, world_T_imu, covariance, landmarks, pixels, V):
-    H = camera.pose_jacobian(world_T_imu, landmarks).reshape(-1, 6)
-    residual = (pixels - camera.observe(world_T_imu, landmarks)[0]).ravel()
-    return kalman.update(covariance, H, V, residual)
 
 
 @exercise(chapter=4, cases=frames, shows=[odometry.observe, kalman.update], outputs=("world_T_imu", "covariance"),
@@ -137,39 +95,25 @@ def pose_update(camera, world_T_imu, covariance, landmarks, pixels, sigma_px):
 
 
 pose_update.slip("world and body mixed", """The correction is a right perturbation, expressed in the body frame: T
-exp(delta^), not exp(delta^) T.""", ("world_T_imu @ se3.exp(delta)", "se3.exp(delta) @ world_T_imu"))
-
-
+    exp(delta^), not exp(delta^) T.""", ("world_T_imu @ se3.exp(delta)", "se3.exp(delta) @ world_T_imu"))
 pose_update.slip("residual of the wrong sign", "The residual is measured minus predicted, not the reverse.",
-                 ("= K", "= -K"))
-
-
-pose_update.slip("correction added", """A pose is not corrected by adding: T (I + delta^) is no pose any more. Use
-the exponential.""", ("se3.exp(delta)", "(np.eye(4) + se3.hat(delta))"))
-
-
-@pose_update.mistake("position and rotation corrected apart", """exp(delta^) corrects position and rotation as one
-motion. Adding R v to the position and turning R afterwards is not the same.""")
-def _(camera, world_T_imu, covariance, landmarks, pixels, sigma_px):
-    delta, P = _correction(camera, world_T_imu, covariance, landmarks, pixels, sigma_px**2 * np.eye(pixels.size))
-    return world_T_imu @ se3.pose(se3.so3_exp(delta[3:]), delta[:3]), P
-
-
-@pose_update.mistake("np.tile in place of the Kronecker product", """The noise of n measurements is I (x) V. np.tile
-puts V between different landmarks too, as if they all shared one noise.""")
-def _(camera, world_T_imu, covariance, landmarks, pixels, sigma_px):
-    V = np.tile(sigma_px**2 * np.eye(4), (len(pixels), len(pixels)))
-    H = camera.pose_jacobian(world_T_imu, landmarks).reshape(-1, 6)
-    residual = (pixels - camera.observe(world_T_imu, landmarks)[0]).ravel()
-    K = covariance @ H.T @ np.linalg.inv(H @ covariance @ H.T + V)
-    return world_T_imu @ se3.exp(K @ residual), (np.eye(6) - K @ H) @ covariance
-
-
-pose_update.slip("sigma not squared", "V holds variances: sigma_px squared.", ("2", "1"))
-
-
-@pose_update.mistake("position and rotation taken for independent", """Only the diagonal blocks of the covariance were
-used: what the cameras say about the rotation also tells something about the position.""")
-def _(camera, world_T_imu, covariance, landmarks, pixels, sigma_px):
-    blocks = block_diag(covariance[:3, :3], covariance[3:, 3:])
-    return pose_update.reference(camera, world_T_imu, blocks, landmarks, pixels, sigma_px)
+    ("pixels - predicted", "predicted - pixels"))
+pose_update.slip("correction added", """A pose is not corrected by adding: T (I + delta^) is no pose any more. Use the
+    exponential.""", ("se3.exp(delta)", "(np.eye(4) + se3.hat(delta))"))
+pose_update.slip("position and rotation corrected apart", """exp(delta^) corrects position and rotation as one motion.
+    Adding R v to the position and turning R afterwards is not the same.""",
+    ("se3.exp(delta)", "se3.pose(se3.so3_exp(delta[3:]), delta[:3])"))
+pose_update.slip("np.tile in place of the Kronecker product", """The noise of n measurements is I (x) V. np.tile puts V
+    between different landmarks too, as if they all shared one noise.""",
+    ("np.eye(len(residual))", "np.tile(np.eye(4), (len(pixels), len(pixels)))"))
+pose_update.slip("sigma not squared", "V holds variances: sigma_px squared.", ("sigma_px**2", "sigma_px"))
+pose_update.slip("position and rotation taken for independent", """Only the diagonal blocks of the covariance were used:
+    what the cameras say about the rotation also tells something about the position.""",
+    ("K = ", "covariance = covariance * np.kron(np.eye(2), np.ones((3, 3)))\n    K = "))
+pose_update.slip("landmark by landmark", """Each landmark was linearised at the pose that the one before it had left.
+    All measurements of a frame are of one moment: linearise all at the predicted pose and stack them.""",
+    ("predicted = ",
+     "if len(pixels) > 1:\n"
+     "        first = pose_update(camera, world_T_imu, covariance, landmarks[:1], pixels[:1], sigma_px)\n"
+     "        return pose_update(camera, *first, landmarks[1:], pixels[1:], sigma_px)\n"
+     "    predicted = "))

@@ -1,7 +1,6 @@
 """Exercises of notebook 05: one Gaussian over landmarks and pose, landmarks first."""
 
 import numpy as np
-from scipy.linalg import block_diag
 
 from ... import ekf_slam, kalman, se3
 from ..checks.exercise import exercise
@@ -15,17 +14,6 @@ def joint_predictions(rng):
     for n in (1, 2, 4):
         yield "random", (random_covariance(rng, 3 * n + 6), se3.adjoint(random_pose(rng, 1.0)),
                          random_covariance(rng, 6))
-
-
-def _carried(P, F, W, cross=True):
-    """The joint covariance after a step; cross : whether the cross-covariances move along."""
-    n = len(P) - 6
-    new = P.copy()
-    new[n:, n:] = F @ P[n:, n:] @ F.T + W
-    if cross:
-        new[:n, n:] = P[:n, n:] @ F.T
-        new[n:, :n] = F @ P[n:, :n]
-    return new
 
 
 @exercise(chapter=5, cases=joint_predictions, shows=[ekf_slam.predict_joint], hints=[
@@ -46,7 +34,7 @@ def predict_joint(covariance, F, W):
 
 
 @predict_joint.otherwise
-def _(covariance, F, W):
+def _by_one_matrix(covariance, F, W):
     n = len(covariance) - 6
     A = np.eye(n + 6)
     A[n:, n:] = F
@@ -55,43 +43,23 @@ def _(covariance, F, W):
     return P
 
 
-@predict_joint.mistake("cross-covariances not propagated", """Only the pose block was carried along. What ties pose and
-landmarks together moves too: P_LR becomes P_LR F^T, P_RL becomes F P_RL.""")
-def _(covariance, F, W):
-    return _carried(covariance, F, W, cross=False)
-
-
-predict_joint.slip("one cross-covariance not written", """Both cross blocks change, one is the transpose of the
-other: writing P_LR alone leaves the matrix unsymmetric.""", ("P[n:, :n]", "covariance[n:, :n]"))
-
-
-@predict_joint.mistake("cross-covariances set to zero", """Moving does not make the pose independent of the map: P_LR
-becomes P_LR F^T, not zero.""")
-def _(covariance, F, W):
-    n = len(covariance) - 6
-    return block_diag(covariance[:n, :n], F @ covariance[n:, n:] @ F.T + W)
-
-
-@predict_joint.mistake("cross-covariances without the transpose", """Covariance of landmark error and F times pose error
-is P_LR F^T: the transpose stands on the right.""")
-def _(covariance, F, W):
-    n = len(covariance) - 6
-    new = _carried(covariance, F, W)
-    new[:n, n:] = covariance[:n, n:] @ F
-    new[n:, :n] = new[:n, n:].T
-    return new
-
-
+predict_joint.slip("cross-covariances not propagated", """Only the pose block was carried along. What ties pose and
+    landmarks together moves too: P_LR becomes P_LR F^T, P_RL becomes F P_RL.""",
+    ("covariance[:n, n:] @ F.T", "covariance[:n, n:]"), ("F @ covariance[n:, :n]", "covariance[n:, :n]"))
+predict_joint.slip("one cross-covariance not written", """Both cross blocks change, one is the transpose of the other:
+    writing P_LR alone leaves the matrix unsymmetric.""", ("F @ covariance[n:, :n]", "covariance[n:, :n]"))
+predict_joint.slip("cross-covariances set to zero", """Moving does not make the pose independent of the map: P_LR
+    becomes P_LR F^T, not zero.""", ("covariance[:n, n:] @ F.T", "0"), ("F @ covariance[n:, :n]", "0"))
+predict_joint.slip("cross-covariances without the transpose", """Covariance of landmark error and F times pose error is
+    P_LR F^T: the transpose stands on the right.""", ("covariance[:n, n:] @ F.T", "covariance[:n, n:] @ F"),
+    ("F @ covariance[n:, :n]", "F.T @ covariance[n:, :n]"))
 predict_joint.slip("chained indexing updates a copy", """P[rows][:, columns] = ... changes the temporary array that
-P[rows] made, if rows is an array or a mask. Use P[np.ix_(rows, columns)] or slices, P[n:, n:].""",
-                   ("return P", "return covariance"))
-
-
-@predict_joint.mistake("pose taken to come first", """The state is ordered landmarks first, then pose: the pose is the
-last six.""")
-def _(covariance, F, W):
-    Phi = block_diag(F, np.eye(len(covariance) - 6))
-    return Phi @ covariance @ Phi.T + block_diag(W, np.zeros_like(covariance[6:, 6:]))
+    P[rows] made, if rows is an array or a mask. Use P[np.ix_(rows, columns)] or slices, P[n:, n:].""",
+    ("return P", "return covariance"))
+predict_joint.slip("pose taken to come first", """The state is ordered landmarks first, then pose: the pose is the last
+    six.""", ("A[n:, n:]", "A[:6, :6]"), ("P[n:, n:]", "P[:6, :6]"), of=_by_one_matrix)
+predict_joint.slip("noise carried along by F", """W is expressed in the body frame at the end of the step already: F
+    P_RR F^T + W.""", ("F @ covariance[n:, n:] @ F.T + W", "F @ (covariance[n:, n:] + W) @ F.T"))
 
 
 # --- a new landmark ---------------------------------------------------------------------------------------
@@ -102,21 +70,6 @@ def births(rng):
     for n in (1, 2, 3):
         yield "random", (random_covariance(rng, 3 * n + 6), random_pose(rng),
                                      np.array([8.0, 0.0, 0.0]) + rng.normal(size=3), random_covariance(rng, 3, 0.3))
-
-
-def _born(P, world_T_imu, point_imu, G, own, cross=None):
-    """Landmark and covariance with a new landmark between the old ones and the pose; cross : (3, d) with them."""
-    n = len(P) - 6
-    cross = G @ P[n:] if cross is None else cross
-    big = np.block([[P[:n, :n], cross[:, :n].T, P[:n, n:]],
-                    [cross[:, :n], own, cross[:, n:]],
-                    [P[n:, :n], cross[:, n:].T, P[n:, n:]]])
-    return se3.transform(world_T_imu, point_imu), big
-
-
-def _G(world_T_imu, point_imu):
-    R = world_T_imu[:3, :3]
-    return np.hstack([R, -R @ se3.so3_hat(point_imu)])
 
 
 @exercise(chapter=5, cases=births, shows=[ekf_slam.new_landmark],
@@ -145,75 +98,45 @@ def new_landmark(covariance, world_T_imu, point_imu, C):
 
 
 new_landmark.slip("no correlation with the pose", """The landmark was placed from the pose, so it shares the pose's
-error: its cross-covariances are G P_R., not zero.""", ("cross = G", "cross = 0 * G"))
-
-
-@new_landmark.mistake("cross-covariances with old landmarks never written", """The pose is correlated with the landmarks
-that are there already, and the new one inherits that: G P_RL.""")
-def _(covariance, world_T_imu, point_imu, C):
-    G, R = _G(world_T_imu, point_imu), world_T_imu[:3, :3]
-    cross = G @ covariance[-6:]
-    cross[:, :-6] = 0.0
-    return _born(covariance, world_T_imu, point_imu, G, G @ covariance[-6:, -6:] @ G.T + R @ C @ R.T, cross)
-
-
-new_landmark.slip("pose assumed known", """R C R^T is the landmark's uncertainty if the pose were exact. The pose's
-own error comes on top: G P_RR G^T, and the correlation with it.""", ("= R", "= 0 * R"))
-
-
-@new_landmark.mistake("the report's 2 I", """The report gives every new landmark 2 m^2 per axis and no correlation. A
-far one is known worse, a near one better, and all of them share the error of the pose.""")
-def _(covariance, world_T_imu, point_imu, C):
-    G = _G(world_T_imu, point_imu)
-    return _born(covariance, world_T_imu, point_imu, G, 2 * np.eye(3), np.zeros((3, len(covariance))))
-
-
-@new_landmark.mistake("first measurement used twice", """The triangulation has used the first measurement up. An update
-with it counts the same pixels again, and the covariance comes out too small.""")
-def _(covariance, world_T_imu, point_imu, C):
-    m, P = new_landmark.reference(covariance, world_T_imu, point_imu, C)
-    R = world_T_imu[:3, :3]
-    H = np.hstack([np.zeros((3, len(covariance) - 6)), R.T, -np.eye(3), se3.so3_hat(point_imu)])
-    return m, kalman.update(P, H, C, np.zeros(3))[1]
-
-
+    error: its cross-covariances are G P_R., not zero.""",
+    ("cross = G @ covariance[n:]", "cross = np.zeros((3, n + 6))"))
+new_landmark.slip("cross-covariances with old landmarks never written", """The pose is correlated with the landmarks
+    that are there already, and the new one inherits that: G P_RL.""",
+    ("cross = G @ covariance[n:]", "cross = np.hstack([np.zeros((3, n)), G @ covariance[n:, n:]])"))
+new_landmark.slip("pose assumed known", """R C R^T is the landmark's uncertainty if the pose were exact. The pose's own
+    error comes on top: G P_RR G^T, and the correlation with it.""",
+    ("cross = G @ covariance[n:]", "cross = np.zeros((3, n + 6))"), ("G @ covariance[n:, n:] @ G.T + ", ""))
+new_landmark.slip("the report's 2 I", """The report gives every new landmark 2 m^2 per axis and no correlation. A far
+    one is known worse, a near one better, and all of them share the error of the pose.""",
+    ("cross = G @ covariance[n:]", "cross = np.zeros((3, n + 6))"),
+    ("G @ covariance[n:, n:] @ G.T + R @ C @ R.T", "2 * np.eye(3)"))
+new_landmark.slip("first measurement used twice", """The triangulation has used the first measurement up. An update with
+    it counts the same pixels again, and the covariance comes out too small.""",
+    ("return R",
+     "H = np.hstack([np.zeros((3, n)), R.T, -np.eye(3), se3.so3_hat(point_imu)])\n"
+     "    P = kalman.update(P, H, C, np.zeros(3))[1]\n"
+     "    return R"))
 new_landmark.slip("triangulation not turned into the world", """C is expressed in the IMU frame, the landmark in the
-world: R C R^T.""", ("R @ C", "C @ R"))
-
-
-@new_landmark.mistake("world and body mixed", """[I, -m^] belongs to a perturbation expressed in the world frame. For
-the right perturbation G = R [I, -s^], s in the IMU frame.""")
-def _(covariance, world_T_imu, point_imu, C):
-    R = world_T_imu[:3, :3]
-    G = np.hstack([np.eye(3), -se3.so3_hat(se3.transform(world_T_imu, point_imu))])
-    return _born(covariance, world_T_imu, point_imu, G, G @ covariance[-6:, -6:] @ G.T + R @ C @ R.T)
-
-
-@new_landmark.mistake("put after the pose", """The order is landmarks first, then pose: the new landmark goes in front
-of the pose.""")
-def _(covariance, world_T_imu, point_imu, C):
-    m, P = new_landmark.reference(covariance, world_T_imu, point_imu, C)
-    n = len(covariance) - 6
-    order = np.r_[:n, n + 3:n + 9, n:n + 3]
-    return m, P[np.ix_(order, order)]
+    world: R C R^T.""", ("R @ C @ R.T", "C"))
+new_landmark.slip("world and body mixed", """[I, -m^] belongs to a perturbation expressed in the world frame. For the
+    right perturbation G = R [I, -s^], s in the IMU frame.""",
+    ("R @ np.hstack([np.eye(3), -se3.so3_hat(point_imu)])", "np.hstack([np.eye(3), -se3.so3_hat(R @ point_imu + p)])"))
+new_landmark.slip("put after the pose", """The order is landmarks first, then pose: the new landmark goes in front of
+    the pose.""", ("n + 3:n + 9", "n:n + 6"), ("P[n:n + 3, old]", "P[n + 6:, old]"),
+    ("P[old, n:n + 3]", "P[old, n + 6:]"), ("P[n:n + 3, n:n + 3]", "P[n + 6:, n + 6:]"))
+new_landmark.slip("turned the other way", "From the IMU into the world goes R, so C becomes R C R^T.",
+    ("R @ C @ R.T", "R.T @ C @ R"))
+new_landmark.slip("landmark in the world in place of s", """G = R [I, -s^] with s in the IMU frame: the pose turns about
+    the IMU, not about the world's origin.""", ("so3_hat(point_imu)", "so3_hat(R @ point_imu + p)"))
 
 
 # --- update -----------------------------------------------------------------------------------------------
 
 def jacobians(rng):
     yield "one landmark", (rng.normal(size=(1, 4, 3)), rng.normal(size=(1, 4, 6)), np.array([0]), 1)
-    for rows in ([0, 1], [2, 0, 3], [1, 4, 2]):
+    for rows in ([0, 1], [2, 0, 3], [1, 4, 2, 0]):
         m = len(rows)
         yield "random", (rng.normal(size=(m, 4, 3)), rng.normal(size=(m, 4, 6)), np.array(rows), 5)
-
-
-def _assembled(H_landmark, H_pose, n, columns):
-    """H with the landmark block of measurement i in columns(i) and the pose in the last six."""
-    H = np.zeros((4 * len(H_landmark), 3 * n + 6))
-    for i, (landmark, pose) in enumerate(zip(H_landmark, H_pose)):
-        H[4 * i:4 * i + 4, columns(i)] = landmark
-        H[4 * i:4 * i + 4, 3 * n:] = pose
-    return H
 
 
 @exercise(chapter=5, cases=jacobians, shows=[ekf_slam.joint_jacobian], hints=[
@@ -232,33 +155,18 @@ def joint_jacobian(H_landmark, H_pose, rows, n):
     return H
 
 
-@joint_jacobian.mistake("interleaved and grouped orders mixed", """The state is x0 y0 z0 x1 y1 z1 ...: landmark j has
-columns 3j to 3j+2. Columns j, j+n, j+2n belong to an order that groups all x, all y, all z.""")
-def _(H_landmark, H_pose, rows, n):
-    return _assembled(H_landmark, H_pose, n, lambda i: rows[i] + n * np.arange(3))
-
-
-@joint_jacobian.mistake("rows grouped by coordinate", """The rows go measurement after measurement: u_left, v_left,
-u_right, v_right of the first, then of the second. Here all u_left come first.""")
-def _(H_landmark, H_pose, rows, n):
-    H = joint_jacobian.reference(H_landmark, H_pose, rows, n)
-    return H.reshape(len(rows), 4, -1).swapaxes(0, 1).reshape(4 * len(rows), -1)
-
-
-@joint_jacobian.mistake("rows ignored", """Measurement i shows landmark rows[i], not landmark i: its block goes to
-columns 3 rows[i] and on.""")
-def _(H_landmark, H_pose, rows, n):
-    return _assembled(H_landmark, H_pose, n, lambda i: slice(3 * i, 3 * i + 3))
-
-
-@joint_jacobian.mistake("pose taken to come first", """The state is ordered landmarks first, then pose: the pose has the
-last six columns.""")
-def _(H_landmark, H_pose, rows, n):
-    return np.roll(joint_jacobian.reference(H_landmark, H_pose, rows, n), 6, axis=1)
-
-
-joint_jacobian.slip("pose block forgotten", """Every measurement depends on the pose too: its block goes into the
-last six columns.""", ("H_pose[i]", "0 * H_pose[i]"))
+joint_jacobian.slip("interleaved and grouped orders mixed", """The state is x0 y0 z0 x1 y1 z1 ...: landmark j has
+    columns 3j to 3j+2. Columns j, j+n, j+2n belong to an order that groups all x, all y, all z.""",
+    ("3 * rows[i]:3 * rows[i] + 3", "rows[i]:3 * n:n"))
+joint_jacobian.slip("rows grouped by coordinate", """The rows go measurement after measurement: u_left, v_left, u_right,
+    v_right of the first, then of the second. Here all u_left come first.""",
+    ("4 * i:4 * i + 4, 3 * rows", "i::len(rows), 3 * rows"), ("4 * i:4 * i + 4, 3 * n:", "i::len(rows), 3 * n:"))
+joint_jacobian.slip("rows ignored", """Measurement i shows landmark rows[i], not landmark i: its block goes to columns 3
+    rows[i] and on.""", ("3 * rows[i]:3 * rows[i] + 3", "3 * i:3 * i + 3"))
+joint_jacobian.slip("pose taken to come first", """The state is ordered landmarks first, then pose: the pose has the
+    last six columns.""", ("3 * rows[i]:3 * rows[i] + 3", "6 + 3 * rows[i]:9 + 3 * rows[i]"), ("3 * n:]", ":6]"))
+joint_jacobian.slip("pose block forgotten", """Every measurement depends on the pose too: its block goes into the last
+    six columns.""", ("H_pose[i]", "0"))
 
 
 def joint_updates(rng):
@@ -267,11 +175,6 @@ def joint_updates(rng):
         yield "random" if n > 1 else "1 landmark", (
             random_pose(rng), rng.normal(size=(n, 3)), random_covariance(rng, d, 0.3),
             rng.normal(size=(4 * n, d)), rng.normal(size=4 * n), random_covariance(rng, 4 * n, 0.5))
-
-
-def _moved(world_T_imu, landmarks, delta, P):
-    n = landmarks.size
-    return world_T_imu @ se3.exp(delta[n:]), landmarks + delta[:n].reshape(-1, 3), P
 
 
 @exercise(chapter=5, cases=joint_updates, shows=[ekf_slam.joint_update, kalman.update],
@@ -293,29 +196,16 @@ def joint_update(world_T_imu, landmarks, covariance, H, residual, V):
 
 
 joint_update.slip("interleaved and grouped orders mixed", """delta is x0 y0 z0 x1 y1 z1 ...: reshape(n, 3). With
-reshape(3, n).T the coordinates of different landmarks change places.""",
-                  ("delta[:n].reshape(-1, 3)", "delta[:n].reshape(3, -1).T"))
-
-
-@joint_update.mistake("cross-covariances cut", """Landmarks and pose were taken for independent. Their correlation is
-what lets a measurement of one landmark correct the others.""")
-def _(world_T_imu, landmarks, covariance, H, residual, V):
-    n = landmarks.size
-    apart = block_diag(covariance[:n, :n], covariance[n:, n:])
-    return _moved(world_T_imu, landmarks, *kalman.update(apart, H, V, residual))
-
-
-joint_update.slip("chained indexing updates a copy", """new[seen][...] += ... changes a temporary array: the
-landmarks came back as they were. Index once.""", ("landmarks + delta[:n].reshape(-1, 3)", "landmarks"))
-
-
-joint_update.slip("world and body mixed", """The pose's correction is a right perturbation, expressed in the body
-frame: T exp(delta^), not exp(delta^) T.""", ("world_T_imu @ se3.exp(delta[n:])", "se3.exp(delta[n:]) @ world_T_imu"))
-
-
+    reshape(3, n).T the coordinates of different landmarks change places.""",
+    ("delta[:n].reshape(-1, 3)", "delta[:n].reshape(3, -1).T"))
+joint_update.slip("cross-covariances cut", """Landmarks and pose were taken for independent. Their correlation is what
+    lets a measurement of one landmark correct the others.""",
+    ("K = ", "covariance = covariance.copy()\n    covariance[:n, n:], covariance[n:, :n] = 0, 0\n    K = "))
+joint_update.slip("chained indexing updates a copy", """new[seen][...] += ... changes a temporary array: the landmarks
+    came back as they were. Index once.""", ("landmarks + delta[:n].reshape(-1, 3)", "landmarks"))
+joint_update.slip("world and body mixed", """The pose's correction is a right perturbation, expressed in the body frame:
+    T exp(delta^), not exp(delta^) T.""", ("world_T_imu @ se3.exp(delta[n:])", "se3.exp(delta[n:]) @ world_T_imu"))
 joint_update.slip("pose not corrected", "The last six entries of delta correct the pose.",
-                  ("delta[n:]", "0 * delta[n:]"))
-
-
+    ("world_T_imu @ se3.exp(delta[n:])", "world_T_imu"))
 joint_update.slip("correction added", "T (I + delta^) is no pose any more. Use the exponential.",
-                  ("se3.exp(delta[n:])", "(np.eye(4) + se3.hat(delta[n:]))"))
+    ("se3.exp(delta[n:])", "(np.eye(4) + se3.hat(delta[n:]))"))

@@ -1,9 +1,8 @@
 """Exercises of notebook 06: is the claimed uncertainty true?"""
 
 import numpy as np
-from scipy.special import ndtri
 
-from ... import kalman, metrics
+from ... import metrics
 from ...noise import Noise
 from ..checks.exercise import exercise
 from ..checks.inputs import random_covariance
@@ -15,10 +14,6 @@ def sensors(rng):
         yield "random", tuple(rng.uniform([0.1, 0.2, 0.05], [1.0, 1.0, 0.5]))
 
 
-def _W(variance_v, variance_omega):
-    return np.diag([variance_v] * 3 + [variance_omega] * 3)
-
-
 @exercise(chapter=6, cases=sensors, shows=[Noise.process_covariance, vars(Noise)["twist_covariance"].fget], hints=[
     "An error of the velocity that lasts tau seconds moves the pose by tau times itself. What does its variance do?",
     "tau^2 times diag(sigma_v^2 three times, sigma_omega^2 three times)."])
@@ -28,30 +23,21 @@ def process_noise(sigma_v, sigma_omega, tau):
     sigma_v : m/s and sigma_omega : rad/s, standard deviation on each axis. tau : s.
     Returns (6, 6), order [position m^2, rotation rad^2], diagonal.
     """
-    variances = [sigma_v**2, sigma_v**2, sigma_v**2, sigma_omega**2, sigma_omega**2, sigma_omega**2]
+    variances = [sigma_v**2] * 3 + [sigma_omega**2] * 3
     return tau**2 * np.diag(variances)
 
 
-process_noise.slip("not scaled by tau", """This is the covariance of the twist. The pose drifts by tau times the
-error of the twist, so W carries tau^2. The report's W does not scale at all.""", ("2 ", "0 "))
-
-
-process_noise.slip("tau instead of tau squared", """tau times a white sample has tau^2 times its variance. (A factor
-tau belongs to continuous noise given as a density, in m/s per root of Hz.)""", ("2 ", "1 "))
-
-
-process_noise.slip("sigmas not squared", "A covariance holds variances: sigma squared.",
-    ("[sigma_v**2, sigma_v**2, sigma_v**2, sigma_omega**2, sigma_omega**2, sigma_omega**2]",
-     "np.sqrt([sigma_v ** 2, sigma_v ** 2, sigma_v ** 2, sigma_omega ** 2, sigma_omega ** 2, sigma_omega ** 2])"))
-
-
+process_noise.slip("not scaled by tau", """This is the covariance of the twist. The pose drifts by tau times the error
+    of the twist, so W carries tau^2. The report's W does not scale at all.""", ("tau**2 * ", ""))
+process_noise.slip("tau instead of tau squared", """tau times a white sample has tau^2 times its variance. (A factor tau
+    belongs to continuous noise given as a density, in m/s per root of Hz.)""", ("tau**2", "tau"))
+process_noise.slip("sigmas not squared", "A covariance holds variances: sigma squared.", ("sigma_v**2", "sigma_v"),
+    ("sigma_omega**2", "sigma_omega"))
 process_noise.slip("order [omega, v]", "The twist is [v, omega]: the velocity's three entries come first.",
-                   ("variances)", "np.roll(variances, 3, axis=-1))"))
-
-
-@process_noise.mistake("degrees", "sigma_omega is in rad/s already.")
-def _(sigma_v, sigma_omega, tau):
-    return tau**2 * _W(sigma_v**2, np.radians(sigma_omega)**2)
+    ("[sigma_v**2] * 3 + [sigma_omega**2] * 3", "[sigma_omega**2] * 3 + [sigma_v**2] * 3"))
+process_noise.slip("degrees", "sigma_omega is in rad/s already.", ("sigma_omega**2", "np.radians(sigma_omega)**2"))
+process_noise.slip("velocity and rotation in turn", """The order is all three of the position, then all three of the
+    rotation.""", ("[sigma_v**2] * 3 + [sigma_omega**2] * 3", "[sigma_v**2, sigma_omega**2] * 3"))
 
 
 def errors(rng):
@@ -75,28 +61,16 @@ def nees(errors, covariances):
     return np.array(values)
 
 
-nees.slip("correlations ignored", """Dividing each squared error by its own variance forgets the off-diagonal
-entries: use the whole inverse, e^T P^-1 e.""", ("P)", "np.diag(np.diag(P)))"))
-
-
+nees.slip("correlations ignored", """Dividing each squared error by its own variance forgets the off-diagonal entries:
+    use the whole inverse, e^T P^-1 e.""", ("inv(P)", "inv(np.diag(np.diag(P)))"))
 nees.slip("covariance not inverted", "e^T P e grows with the claimed uncertainty; the NEES shrinks with it: P^-1.",
-          ("np.linalg.inv(P)", "P"))
-
-
+    ("np.linalg.inv(P)", "P"))
 nees.slip("square root taken", "This is the Mahalanobis distance; the NEES is its square.",
-          ("np.array(values)", "np.sqrt(np.array(values))"))
-
-
-@nees.mistake("divided by the degrees of freedom", """The NEES itself has mean n. Dividing by n is a way to plot it, but
-it then no longer follows the chi-square table.""")
-def _(errors, covariances):
-    return metrics.nees(errors, covariances) / errors.shape[1]
-
-
-@nees.mistake("variance taken for standard deviation", """P holds variances: whiten with its Cholesky factor (or solve
-with P once), do not divide by P twice.""")
-def _(errors, covariances):
-    return np.sum(np.linalg.solve(covariances, errors[..., None])[..., 0]**2, axis=-1)
+    ("np.array(values)", "np.sqrt(values)"))
+nees.slip("divided by the degrees of freedom", """The NEES itself has mean n. Dividing by n is a way to plot it, but it
+    then no longer follows the chi-square table.""", ("inv(P) @ e", "inv(P) @ e / len(e)"))
+nees.slip("variance taken for standard deviation", """P holds variances: whiten with its Cholesky factor (or solve with
+    P once), do not divide by P twice.""", ("e @ np.linalg.inv(P) @ e", "np.sum((np.linalg.inv(P) @ e)**2)"))
 
 
 def bands(rng):
@@ -125,30 +99,21 @@ def chi2_band(dof, runs, probability):
     return low, high
 
 
-@chi2_band.mistake("runs ignored", """A mean over runs scatters less than one run: N dof degrees of freedom, divided by
-N.""")
-def _(dof, runs, probability):
-    return metrics.chi2_band(dof, 1, probability)
-
-
-@chi2_band.mistake("not divided by runs", "This is the band of the sum over runs; the mean is the sum divided by runs.")
-def _(dof, runs, probability):
-    low, high = metrics.chi2_band(dof, runs, probability)
-    return low * runs, high * runs
-
-
+chi2_band.slip("runs ignored", "A mean over runs scatters less than one run: N dof degrees of freedom, divided by N.",
+    ("low = chi2.ppf(tail, dof * runs) / runs", "low = chi2.ppf(tail, dof)"),
+    ("high = chi2.ppf(1 - tail, dof * runs) / runs", "high = chi2.ppf(1 - tail, dof)"))
+chi2_band.slip("not divided by runs", "This is the band of the sum over runs; the mean is the sum divided by runs.",
+    ("return low, high", "return low * runs, high * runs"))
 chi2_band.slip("tails not halved", "A band of 95 % leaves 2.5 % on each side; this one leaves 5 % on each side.",
-               (" 2", " 1"))
-
-
-@chi2_band.mistake("one-sided", """A mean NEES that is too low is wrong as well (the filter wastes what it measured):
-leave half of the tail below.""")
-def _(dof, runs, probability):
-    return 0.0, kalman.chi_square_quantile(probability, dof * runs) / runs
-
-
-@chi2_band.mistake("normal approximation", """dof +- z sqrt(2 dof / N) is what the band tends to for many runs; for few
-it is lopsided. Use the chi-square quantiles.""")
-def _(dof, runs, probability):
-    half = ndtri((1 + probability) / 2) * np.sqrt(2 * dof / runs)
-    return dof - half, dof + half
+    (") / 2", ")"))
+chi2_band.slip("one-sided", """A mean NEES that is too low is wrong as well (the filter wastes what it measured): leave
+    half of the tail below.""", ("low = chi2.ppf(tail, dof * runs) / runs", "low = 0.0"),
+    ("(1 - probability) / 2", "1 - probability"))
+chi2_band.slip("normal approximation", """dof +- z sqrt(2 dof / N) is what the band tends to for many runs; for few it
+    is lopsided. Use the chi-square quantiles.""",
+    ("chi2\n", "chi2, norm\n"), ("return low, high",
+     "half = norm.ppf((1 + probability) / 2) * np.sqrt(2 * dof / runs)\n    return dof - half, dof + half"))
+chi2_band.slip("degrees of freedom and runs added", """The sum of N numbers with dof degrees of freedom each has N dof
+    of them.""", ("chi2.ppf(tail, dof * runs)", "chi2.ppf(tail, dof + runs)"),
+    ("chi2.ppf(1 - tail, dof * runs)", "chi2.ppf(1 - tail, dof + runs)"))
+chi2_band.slip("always 95 %", "The probability is an argument.", ("1 - probability", "1 - 0.95"))

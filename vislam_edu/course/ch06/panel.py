@@ -12,8 +12,8 @@ from ...plots.style import COLOURS, ellipse_points
 from ...plots.text import two_digits
 from ...studies.runs import record
 from ...widgets.canvas import Decades, Number, Picture, Switch
-from ...widgets.history import frame_nis
-from ...widgets.panels import LETTERING, TITLE, add_axes, legend, nis_band
+from ...widgets.history import frame_nis, nis_band
+from ..panels import LETTERING, TITLE, add_axes, legend
 
 LEFT, YAW = 1, 5  # of the pose error: across the road, where an error of the heading shows, and the heading
 ELLIPSES = 6
@@ -30,7 +30,7 @@ CONTROLS: dict[str, Number | Switch] = {
 
 
 @dataclass(frozen=True, eq=False)
-class Outcome:
+class FilterRun:
     """One run of the joint filter over T frames, held against the truth.
 
     world_T_imu : (T, 4, 4). error, sigma : (T, 6), of the pose as a right perturbation, m and rad.
@@ -54,7 +54,7 @@ class Outcome:
 
 
 def filtered(drive, world_T_imu, noise, sigma_v=_TRUE.sigma_v, sigma_omega=_TRUE.sigma_omega, sigma_px=_TRUE.sigma_px,
-             start=1.0, report_birth=False, invariant=False) -> Outcome:
+             start=1.0, report_birth=False, invariant=False) -> FilterRun:
     """The joint filter without a gate, run with one setting of `CONTROLS`.
 
     drive : Drive with truth. world_T_imu : (4, 4), where it believes to start. noise : Noise, whose initial covariance
@@ -70,7 +70,7 @@ def filtered(drive, world_T_imu, noise, sigma_v=_TRUE.sigma_v, sigma_omega=_TRUE
     R = poses[:, :3, :3]
     nis, numbers = np.transpose([frame_nis(step, drive, error_state) for step in steps])
     truth = drive.true_world_T_imu
-    return Outcome(
+    return FilterRun(
         poses,
         RightPerturbation().pose_difference(truth, poses),
         np.sqrt(np.diagonal(right, axis1=1, axis2=2)),
@@ -103,7 +103,7 @@ class TuningPicture(Picture):
         self._outcomes = {}
         super().__init__()
 
-    def outcome(self, **state) -> Outcome:
+    def outcome(self, **state) -> FilterRun:
         """The run that the controls stand for, done once and kept. What is not given is as at the start."""
         key = tuple((self.start | state).values())
         if key not in self._outcomes:

@@ -6,21 +6,15 @@ from ..checks.exercise import exercise
 
 
 def _rates(rng):
-    for n in (60, 80, 120):
-        seen = rng.normal(size=(n, 3)) * rng.uniform(0.1, 2.0, size=3) + rng.normal(size=3)
-        signs = rng.choice([-1.0, 1.0], size=3)
-        gyro = signs * seen + 0.2 * seen.std(axis=0) * rng.normal(size=(n, 3)) + rng.normal(size=3)
-        yield "random", (gyro, seen)
-    gyro = np.column_stack([seen[:, 0], rng.normal(size=(n, 2))])
-    yield "two axes unrelated", (gyro, seen)
-
-
-def _signs(correlation, least=0.5):
-    return np.where(np.abs(correlation) > least, np.sign(correlation), 0.0)
-
-
-def _correlation(gyro, seen):
-    return np.array([np.corrcoef(gyro[:, i], seen[:, i])[0, 1] for i in range(3)])
+    for correlations in ([0.9, -0.51, 0.49], [0.51, -0.49, -0.95], [-0.49, 0.3, 0.51], [0.95, 0.05, -0.05]):
+        n = int(rng.integers(60, 120))
+        gyro, seen = rng.normal(size=(2, n, 3))
+        for i, r in enumerate(correlations):
+            _, s, other = np.linalg.qr(np.column_stack([np.ones(n), seen[:, i], gyro[:, i]]))[0].T
+            size, size_seen = n**0.5 * 10.0 ** rng.uniform(-2, 1, size=2)
+            gyro[:, i] = size * (r * s + (1 - r**2)**0.5 * other) + rng.normal()
+            seen[:, i] = size_seen * s + rng.normal()
+        yield "random" if r != -0.05 else "two axes unrelated", (gyro, seen)
 
 
 @exercise(chapter=8, cases=_rates, shows=[np.corrcoef], hints=[
@@ -41,16 +35,23 @@ def axis_signs(gyro, seen):
     return signs
 
 
-@axis_signs.mistake("mean not subtracted", """A correlation is taken after the mean of each signal is subtracted;
-without it the bias of the gyro decides the sign.""")
-def _(gyro, seen):
-    size = np.sqrt(np.sum(gyro**2, axis=0) * np.sum(seen**2, axis=0))
-    return _signs(np.sum(gyro * seen, axis=0) / size)
-
-
+axis_signs.slip("mean not subtracted", """A correlation is taken after the mean of each signal is subtracted; without it
+    the bias of the gyro decides the sign.""",
+    ("np.corrcoef(gyro[:, i], seen[:, i])[0, 1]",
+     "gyro[:, i] @ seen[:, i] / (np.linalg.norm(gyro[:, i]) * np.linalg.norm(seen[:, i]))"))
 axis_signs.slip("no threshold", "Where the correlation is small, chance decides its sign: return 0 there.",
-                ("0.5", "0"))
-
-
+    ("> 0.5", "> 0"))
 axis_signs.slip("turned round", "1 says that an axis agrees with the cameras, -1 that it has to be turned round.",
-                ("np.sign(r", "np.sign(-r"))
+    ("= np.sign(r)", "= -np.sign(r)"))
+axis_signs.slip("threshold too low", "The threshold is 0.5.", ("0.5", "0.4"))
+axis_signs.slip("threshold too high", """The threshold is 0.5, of the correlation r itself: r^2 is above 0.5 only from
+    0.71 on.""", ("0.5", "0.7"))
+axis_signs.slip("covariance in place of the correlation", """A covariance has a unit. Divide by both standard
+    deviations: a correlation lies between -1 and 1.""", ("np.corrcoef", "np.cov"))
+axis_signs.slip("slope in place of the correlation", """The slope of a line depends on the sizes of both signals. Divide
+    by both standard deviations.""",
+    ("np.corrcoef(gyro[:, i], seen[:, i])[0, 1]", "np.cov(gyro[:, i], seen[:, i])[0, 1] / np.var(seen[:, i], ddof=1)"))
+axis_signs.slip("correlation returned", "Return its sign, 1 or -1, where its size is above 0.5, and 0 elsewhere.",
+    ("if abs(r) > 0.5:\n            signs[i] = np.sign(r)", "signs[i] = r"))
+axis_signs.slip("1 where nothing can be said", "Where the correlation is between -0.5 and 0.5, return 0.",
+    ("np.zeros(3)", "np.ones(3)"))

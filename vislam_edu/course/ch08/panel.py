@@ -10,13 +10,13 @@ from ...motion import TwistAndBias
 from ...plots.style import COLOURS
 from ...studies import pipeline
 from ...widgets.canvas import Picture, Switch
-from ...widgets.panels import add_axes, fit_equal, legend
+from ..panels import add_axes, fit_equal, legend
 
 LOST = 20.0  # % of drift: beyond it there is nothing to compare
 
 
 @dataclass(frozen=True, eq=False)
-class Outcome:
+class CuredRun:
     """What the filter made of the recording with some of its cures applied.
 
     path : (T, 4, 4) poses of the left camera, the world being that camera at frame 0.
@@ -83,7 +83,7 @@ class CuresPicture(Picture):
         result = pipeline.collect_slam(drive, steps, error_state, "invariant")
         return camera_path(result.trajectory.world_T_imu @ drive.camera.imu_T_cam), result.rejected_share
 
-    def outcome(self, faults) -> Outcome:
+    def outcome(self, faults) -> CuredRun:
         """What comes out with the cures of these faults applied, in the order of the audit; filtered once, then kept.
 
         Raises ValueError for a fault that the audit did not name.
@@ -94,10 +94,9 @@ class CuresPicture(Picture):
         key = frozenset(faults)
         if key not in self._outcomes:
             path, rejected_share = self._path(key)
-            self._outcomes[key] = Outcome(
+            self._outcomes[key] = CuredRun(
                 path, np.linalg.norm(path[:, :3, 3] - self.reference[:, :3, 3], axis=-1),
-                metrics.kitti_drift(self.reference, path)[0], metrics.ate(self.reference, path), rejected_share,
-            )  # fmt: skip
+                metrics.kitti_drift(self.reference, path)[0], metrics.ate(self.reference, path), rejected_share)
         return self._outcomes[key]
 
     def build(self):

@@ -12,7 +12,7 @@ from ...odometry import Trajectory
 from ...plots.style import COLOURS
 from ...studies import pipeline
 from ...widgets.canvas import Number, Picture
-from ...widgets.panels import add_axes, legend
+from ..panels import add_axes, legend
 
 MOST = 20  # of how many landmarks one is kept, at most
 ELLIPSES = 12  # along the path

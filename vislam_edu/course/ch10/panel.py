@@ -9,7 +9,7 @@ from ... import metrics, plots
 from ...plots import style
 from ...plots.style import COLOURS
 from ...widgets.canvas import Choice, Picture
-from ...widgets.panels import LETTERING, add_axes, legend
+from ..panels import LETTERING, add_axes, legend
 
 LIMITS = {"error": (0.01, 300), "nis": (0.5, 1e5), "nees": (0.1, 3e5)}
 TITLES = {

@@ -30,23 +30,19 @@ def twist_jacobians(T_this, T_next, tau):
     return by_this, by_next
 
 
-@twist_jacobians.mistake("tau forgotten", "The twist is the logarithm divided by tau, and so are its derivatives.")
-def _(T_this, T_next, tau):
-    step = se3.log(se3.inverse(T_this) @ T_next)
-    return -se3.left_jacobian_inverse(step), se3.right_jacobian_inverse(step)
-
-
-twist_jacobians.slip("left and right swapped", """The perturbation of T_next stands on the right of exp(tau xi),
-that of T_this on its left: J_r^-1 belongs to T_next, J_l^-1 to T_this.""",
-                     ("se3.inverse(T_this) @ T_next", "np.linalg.inv(se3.inverse(T_this) @ T_next)"))
-
-
+twist_jacobians.slip("tau forgotten", "The twist is the logarithm divided by tau, and so are its derivatives.",
+    ("left_jacobian(step)) / tau", "left_jacobian(step))"), ("right_jacobian(step)) / tau", "right_jacobian(step))"))
+twist_jacobians.slip("left and right swapped", """The perturbation of T_next stands on the right of exp(tau xi), that of
+    T_this on its left: J_r^-1 belongs to T_next, J_l^-1 to T_this.""",
+    ("-np.linalg.inv(se3.left", "-np.linalg.inv(se3.right"),
+    ("by_next = np.linalg.inv(se3.right", "by_next = np.linalg.inv(se3.left"))
 twist_jacobians.slip("sign of T_this", """T_this enters inverted, (T exp(e^))^-1 = exp(-e^) T^-1: its derivative is
-negative.""", ("by_this,", "-by_this,"))
-
-
-twist_jacobians.slip("plus and minus the identity", """The Jacobians are -I/tau and I/tau only where the step does
-not move; a step of a metre and a turn needs J_l^-1 and J_r^-1.""", ("T_next)", "T_this)"))
+    negative.""", ("= -np", "= np"))
+twist_jacobians.slip("plus and minus the identity", """The Jacobians are -I/tau and I/tau only where the step does not
+    move; a step of a metre and a turn needs J_l^-1 and J_r^-1.""",
+    ("np.linalg.inv(se3.left_jacobian(step))", "np.eye(6)"), ("np.linalg.inv(se3.right_jacobian(step))", "np.eye(6)"))
+twist_jacobians.slip("Jacobians of the twist", """The Jacobians belong to tau xi, the logarithm itself; the division by
+    tau stands outside.""", ("T_next)", "T_next) / tau"))
 
 
 def systems(rng):
@@ -73,24 +69,15 @@ def schur(H, g, n_poses):
     return S, x, m
 
 
-schur.slip("right side not reduced", """Eliminating the landmarks changes the right side as well: a - E V^-1 b. With
-a alone, what the cameras say about the landmarks is thrown away.""", ("b)", "(0 * b))"))
-
-
-schur.slip("landmarks without the poses", """When the poses move, the landmarks move with them: V m = b - E^T x, not
-b.""", ("x)", "(0 * x))"))
-
-
+schur.slip("right side not reduced", """Eliminating the landmarks changes the right side as well: a - E V^-1 b. With a
+    alone, what the cameras say about the landmarks is thrown away.""", ("(a - E @ np.linalg.inv(V) @ b)", "a"))
+schur.slip("landmarks without the poses", "When the poses move, the landmarks move with them: V m = b - E^T x, not b.",
+    ("(b - E.T @ x)", "b"))
 schur.slip("plus E V^-1 E^T", "What the landmarks do not know is taken away from U: S = U - E V^-1 E^T.",
-           ("@ E.T", "@ -E.T"))
-
-
-@schur.mistake("block cut out", """Cutting out U assumes the landmarks known. In the information matrix that is
-conditioning; to marginalise needs the Schur complement.""")
-def _(H, g, n_poses):
-    p = n_poses
-    x = np.linalg.solve(H[:p, :p], g[:p])
-    return H[:p, :p], x, np.linalg.solve(H[p:, p:], g[p:] - H[p:, :p] @ x)
+    ("U - E", "U + E"))
+schur.slip("block cut out", """Cutting out U assumes the landmarks known. In the information matrix that is
+    conditioning; to marginalise needs the Schur complement.""", ("U - E @ np.linalg.inv(V) @ E.T", "U"),
+    ("(a - E @ np.linalg.inv(V) @ b)", "a"))
 
 
 def linearised(rng):
@@ -112,19 +99,15 @@ def marquardt_step(r, J, damping):
     return np.linalg.solve(H + damping * D, -J.T @ r)
 
 
-marquardt_step.slip("sign", "The step goes downhill: -J^T r on the right side.", ("r)", "-r)"))
-
-
+marquardt_step.slip("sign", "The step goes downhill: -J^T r on the right side.", ("-J.T @ r", "J.T @ r"))
 marquardt_step.slip("identity in place of the diagonal", """That is Levenberg's older form. Metres and radians have
-different sizes, so Marquardt damps each unknown in its own unit: lambda times diag(H).""",
-                    ("np.diag(np.diag(H))", "np.eye(len(np.diag(H)))"))
-
-
+    different sizes, so Marquardt damps each unknown in its own unit: lambda times diag(H).""",
+    ("np.diag(np.diag(H))", "np.eye(len(H))"))
 marquardt_step.slip("whole matrix raised", "(1 + lambda) H only shortens the step. Only the diagonal is raised.",
-                    ("D,", "H,"))
-
-
-marquardt_step.slip("no damping", "The damping is not used: this is Gauss-Newton.", ("H)", "0 * H)"))
+    ("damping * D", "damping * H"))
+marquardt_step.slip("no damping", "The damping is not used: this is Gauss-Newton.", ("H + damping * D", "H"))
+marquardt_step.slip("diagonal replaced", """The diagonal is raised, not replaced: (1 + lambda) diag(H), so H + lambda
+    diag(H).""", ("H + damping", "H - D + damping"))
 
 
 def residuals(rng):
@@ -148,24 +131,13 @@ def robust_weight(r, c):
     return cost, weight
 
 
-robust_weight.slip("root of the weight", """The weight multiplies the squared residual. Its root multiplies residual
-and Jacobian; return the weight itself.""", ("1 / (1 + q / c**2)", "np.sqrt(1 / (1 + q / c ** 2))"))
-
-
-@robust_weight.mistake("cost over squared residual", """The weight is the *derivative* of the cost by |r|^2, not their
-ratio: the gradient of the robust cost must be that of the weighted squares.""")
-def _(r, c):
-    squared = np.sum(r**2, axis=-1)
-    cost, _ = batch.cauchy(squared, c)
-    return cost, np.where(squared > 0, cost / np.where(squared > 0, squared, 1.0), 1.0)
-
-
+robust_weight.slip("root of the weight", """The weight multiplies the squared residual. Its root multiplies residual and
+    Jacobian; return the weight itself.""", ("1 / (1 + q / c**2)", "1 / np.sqrt(1 + q / c**2)"))
+robust_weight.slip("cost over squared residual", """The weight is the *derivative* of the cost by |r|^2, not their
+    ratio: the gradient of the robust cost must be that of the weighted squares.""",
+    ("1 / (1 + q / c**2)", "np.where(q > 0, cost / np.maximum(q, 1e-9), 1)"))
 robust_weight.slip("|r| in place of |r|^2", "c is compared with |r|, so the ratio is |r|^2 / c^2.",
-                   ("np.sum(r**2, axis=1)", "np.sqrt(np.sum(r ** 2, axis=1))"))
-
-
-@robust_weight.mistake("each number by itself", """Wrong tracks are wrong as a whole. The loss is of the measurement:
-sum its three squares first.""")
-def _(r, c):
-    cost, weight = batch.cauchy(r**2, c)
-    return cost.sum(axis=-1), weight.mean(axis=-1)
+    ("np.sum(r**2, axis=1)", "np.sqrt(np.sum(r**2, axis=1))"))
+robust_weight.slip("each number by itself", """Wrong tracks are wrong as a whole. The loss is of the measurement: sum
+    its three squares first.""", ("np.sum(r**2, axis=1)", "r**2"),
+    ("return cost, weight", "return cost.sum(axis=1), weight.mean(axis=1)"))

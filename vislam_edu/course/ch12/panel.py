@@ -7,7 +7,7 @@ from ... import kalman
 from ...association import Candidates, branch_and_bound
 from ...plots.style import COLOURS
 from ...widgets.canvas import Number, Picture
-from ...widgets.panels import add_axes, fit_equal, legend_above
+from ..panels import add_axes, fit_equal, legend_above
 
 
 class BranchesPicture(Picture):

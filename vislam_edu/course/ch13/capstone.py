@@ -10,8 +10,6 @@ filter that never ends, or whose state grows without end, is stopped.
 """
 
 import hashlib
-import json
-import os
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
@@ -23,12 +21,11 @@ from ...belief import NO_INNOVATION, Belief, Innovation, Step
 from ...drive import Drive
 from ...error_state import ErrorState, RightPerturbation
 from ...noise import Noise
-from ...plots import drawing, style
 from ...plots.text import on_a_page
 from ...studies.runs import Run, record
-from ..checks.check import VERDICTS
 from ..checks.comparing import number
 from ..checks.exercise import EXERCISES, find
+from ..checks.picture import matrices
 from ..checks.running import copied, error_message, outcome_of, within
 from ..checks.verdict import NOT_WRITTEN, RIGHT, WRONG, Verdict, judge
 from .exercises import NOISE, filter_run
@@ -231,6 +228,9 @@ def _figures(drive, poses, covariance, in_gate=np.nan, seconds=np.nan, error_sta
     return Figures(metrics.ate(true, poses), nees, in_gate, seconds, sigma)
 
 
+agreed_run: Callable = filter_run.reference  # the filter that the stages describe
+
+
 def package_run(drive: Drive, noise: Noise) -> Iterator[tuple]:
     """The package's own filter in the form of `filter_run`, over the landmarks in view and without a gate."""
     for step in window_slam.run(drive, noise, gate=1):
@@ -256,7 +256,7 @@ def judged(run: Callable, drive: Drive, limit: float = LIMIT, error_state: Error
         return Judged(drive.name, _NOTHING, _NOTHING, _NOTHING, _NOTHING, NOT_WRITTEN)
     dead = odometry.dead_reckon(drive, NOISE)
     return Judged(drive.name, _NOTHING if mine.problem else of(mine, error_state),
-                  of(follow(filter_run.reference, drive)), of(follow(package_run, drive)),
+                  of(follow(agreed_run, drive)), of(follow(package_run, drive)),
                   _figures(drive, dead.world_T_imu, dead.covariance), mine.problem)
 
 
@@ -304,8 +304,8 @@ class Score:
         return {"student": str(self.student), "status": self.status, "drives": rows}
 
 
-def score(run: Callable, student: int | str = 0, limit: float = LIMIT, error_state: ErrorState | None = None) -> Score:
-    """Judge a filter, print the table and, where a teacher's report asks for it, record it. limit : s a drive.
+def scored(run: Callable, student: int | str = 0, limit: float = LIMIT, error_state: ErrorState | None = None) -> Score:
+    """Judge a filter. limit : s a drive.
 
     student : the number that gives the unseen drives. error_state : of the filter's covariance, see `judged`.
     """
@@ -314,18 +314,19 @@ def score(run: Callable, student: int | str = 0, limit: float = LIMIT, error_sta
         found.append(judged(run, drive, limit, error_state))
         if found[-1].problem == NOT_WRITTEN or found[-1].problem.startswith("no end"):
             break
-    result = Score(student, tuple(found))
+    return Score(student, tuple(found))
+
+
+def score(run: Callable, student: int | str = 0, limit: float = LIMIT, error_state: ErrorState | None = None) -> Score:
+    """Judge a filter, as `scored` does, and print the table."""
+    result = scored(run, student, limit, error_state)
     print(result.text)
-    path = os.environ.get(VERDICTS)
-    if path and run is not filter_run.reference:  # the agreed filter is nobody's answer
-        with open(path, "a", encoding="utf-8") as file:
-            file.write(json.dumps({"exercise": filter_run.name, "score": result.figures}) + "\n")
     return result
 
 
 # --- the stages -------------------------------------------------------------------------------------------
 
-def localise(pieces: dict[str, Callable]) -> Verdict | None:
+def first_wrong_stage(pieces: dict[str, Callable]) -> Verdict | None:
     """The verdict on the first stage that is not right, in the order of `STAGES`; None if all are.
 
     pieces : the student's functions by the names of the stages.
@@ -381,11 +382,9 @@ def _parting(where, mine, package, tolerance) -> Parting | None:
     return Parting(where, np.atleast_2d(mine), np.atleast_2d(package), (row, column))
 
 
-@style.styled
 def compare(name: str, function: Callable):
     """A figure of the first matrix in which a stage is not the package's, its first wrong entry framed.
 
-    Each of the three matrices (the stage's, the package's, their difference) has a colour scale of its own.
     Prints why and returns None where nothing can be compared.
     """
     found = first_parting(name, function)
@@ -394,32 +393,6 @@ def compare(name: str, function: Callable):
         return None
     i, j = found.entry
     print(on_a_page(f"{name}, {found.where}, entry [{i}, {j}]: {number(found.mine[i, j])}, "
-                          f"the package has {number(found.package[i, j])}"))
-    figure, axes = drawing.new_figure(height=2.6)
-    gap, columns = np.full((len(found.mine), 1), np.nan), found.mine.shape[1]
-    apart = found.mine - found.package
-    axes.imshow(np.hstack([_scaled(found.mine), gap, _scaled(found.package), gap, _scaled(apart)]), cmap="RdBu_r",
-                norm=_norm(), aspect="auto")
-    lefts = (columns + 1) * np.arange(3)
-    for left in lefts:
-        axes.add_patch(_frame(left + j, i))
-    axes.set(xticks=lefts + (columns - 1) / 2, xticklabels=["yours", "package", "yours - package"])
-    axes.grid(False)
-    return drawing.finish(figure, f"{name}: the first entry that differs, [{i}, {j}], is framed")
-
-
-def _scaled(matrix):
-    """A matrix divided by its largest entry, a matrix of zeros as it is."""
-    return matrix / (np.nanmax(np.abs(matrix)) or 1.0)
-
-
-def _norm():
-    from matplotlib.colors import SymLogNorm
-
-    return SymLogNorm(1e-3, vmin=-1, vmax=1)
-
-
-def _frame(column, row):
-    from matplotlib.patches import Rectangle
-
-    return Rectangle((column - 0.5, row - 0.5), 1, 1, fill=False, edgecolor="black", linewidth=2)
+                    f"the package has {number(found.package[i, j])}"))
+    return matrices(found.mine, found.package, "package", [found.entry],
+                    f"{name}: the first entry that differs, [{i}, {j}], is framed")

@@ -489,12 +489,6 @@ def uncertain_points(rng):
                                   0.02 * point[2] * inputs.random_covariance(rng, 3))
 
 
-def _curved(f, baseline, point, C, half=1.0, cross=-1.0):
-    x, y, z = point
-    beside = np.array([x, y, x - baseline, y])
-    return half * f / z**2 * (beside / z * C[2, 2] + cross * C[[0, 1, 0, 1], 2])
-
-
 @exercise(chapter=13, cases=uncertain_points, shows=[stereo.second_order], hints=[
     """One coordinate is u = f x / z. Write its three second derivatives by (x, z); the one by x twice is zero. Then
     half the trace of h'' C is two terms.""",
@@ -514,24 +508,25 @@ def curved_mean(f, baseline, point, covariance):
 
 
 curved_mean.slip("half forgotten", "The second-order term of Taylor's series has a factor 1/2.",
-                 ("= covariance", "= 2 * covariance"))
-
-
+    ("return np.array([u_left, v, u_right, v])", "return 2 * np.array([u_left, v, u_right, v])"))
 curved_mean.slip("sign flipped", "This has the wrong sign: beside the axis the mean moves outwards.",
-                 ("= covariance", "= -covariance"))
-
-
+    ("return np.array", "return -np.array"))
 curved_mean.slip("right camera taken for the left", "The right camera sees x - baseline in place of x.",
-                 ("x - baseline", "x"))
-
-
+    ("x - baseline", "x"))
 curved_mean.slip("depth alone", """h'' has entries beside the diagonal too, and x and z are correlated, because a
-landmark is uncertain along its ray.""", ("= covariance", "= np.diag(np.diag(covariance))"))
-
-
-@curved_mean.mistake("cross term added", "d^2 (x / z) / dx dz = -1 / z^2: the cross term is subtracted.")
-def _(f, baseline, point, covariance):
-    return _curved(f, baseline, point, covariance, cross=1.0)
+    landmark is uncertain along its ray.""", ("C = covariance", "C = np.diag(np.diag(covariance))"))
+curved_mean.slip("cross term halved", "C_xz stands in C twice, as C_xz and C_zx: half the trace has it once in full.",
+    ("C = covariance", "C = covariance.copy()\n    C[:2, 2] = C[:2, 2] / 2"))
+curved_mean.slip("cross term twice", "Half the trace has -C_xz / z^2 once.",
+    ("C = covariance", "C = covariance.copy()\n    C[:2, 2] = 2 * C[:2, 2]"))
+curved_mean.slip("second derivative by the depth halved", """d^2 (x / z) / dz^2 = 2 x / z^3; the 2 and the half of
+    Taylor's series cancel.""", ("C = covariance", "C = covariance.copy()\n    C[2, 2] = C[2, 2] / 2"))
+curved_mean.slip("one depth too few", "d^2 (x / z) / dz^2 = 2 x / z^3: the depth enters with its third power.",
+    ("(x / z *", "(x *"), ("(y / z *", "(y *"), ("(x - baseline) / z *", "(x - baseline) *"))
+curved_mean.slip("x in place of y", "v is f y / z: its terms are those of u with y in place of x.",
+    ("y / z * C[2, 2] - C[1, 2]", "x / z * C[2, 2] - C[0, 2]"))
+curved_mean.slip("cross term added", "d^2 (x / z) / dx dz = -1 / z^2: the cross term is subtracted.",
+    ("C = covariance", "C = covariance.copy()\n    C[:2, 2] = -C[:2, 2]"))
 
 
 def windows(rng):
@@ -539,10 +534,6 @@ def windows(rng):
         n = len(keep)
         yield f"{n - sum(keep)} of {n} left", (10 * rng.normal(size=(n, 3)), inputs.random_covariance(rng, 3 * n + 6),
                                                np.array(keep))
-
-
-def _rows(keep):
-    return np.flatnonzero(np.concatenate([np.repeat(keep, 3), np.ones(6, bool)]))
 
 
 @exercise(chapter=13, cases=windows, shows=[window_slam.marginalise], outputs=("landmarks", "covariance"), hints=[
@@ -560,20 +551,11 @@ def left_behind(landmarks, covariance, keep):
     return landmarks[keep], P
 
 
-@left_behind.mistake("conditioned", """This is what is known once the landmarks that leave are known *exactly*: the
-Schur complement, or rows dropped from the inverse. They are only no longer asked for: take rows of the covariance.""")
-def _(landmarks, covariance, keep):
-    return landmarks[keep], np.linalg.inv(np.linalg.inv(covariance)[np.ix_(_rows(keep), _rows(keep))])
-
-
-@left_behind.mistake("correlations with the pose lost", """What stays keeps its correlation with the pose: without it
-the next update cannot correct the map through the pose.""")
-def _(landmarks, covariance, keep):
-    P = covariance[np.ix_(_rows(keep), _rows(keep))].copy()
-    P[:-6, -6:], P[-6:, :-6] = 0, 0
-    return landmarks[keep], P
-
-
-@left_behind.mistake("the wrong ones kept", "`keep` says which stay, not which leave.")
-def _(landmarks, covariance, keep):
-    return landmarks[~keep], covariance[np.ix_(_rows(~keep), _rows(~keep))]
+left_behind.slip("conditioned", """This is what is known once the landmarks that leave are known *exactly*: the Schur
+    complement, or rows dropped from the inverse. They are only no longer asked for: take rows of the covariance.""",
+    ("covariance[stay][:, stay]", "np.linalg.inv(np.linalg.inv(covariance)[stay][:, stay])"))
+left_behind.slip("correlations with the pose lost", """What stays keeps its correlation with the pose: without it the
+    next update cannot correct the map through the pose.""",
+    ("return landmarks", "P[:-6, -6:], P[-6:, :-6] = 0, 0\n    return landmarks"))
+left_behind.slip("the wrong ones kept", "`keep` says which stay, not which leave.",
+    ("stay = ", "keep = ~keep\n    stay = "))

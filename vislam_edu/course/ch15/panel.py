@@ -5,7 +5,7 @@ import numpy as np
 from ... import tracking
 from ...plots.style import COLOURS
 from ...widgets.canvas import Number, Picture
-from ...widgets.panels import add_axes
+from ..panels import add_axes
 
 
 class PatchPicture(Picture):

@@ -33,18 +33,19 @@ def velocity_rows(rotation, force, tau):
 
 
 velocity_rows.slip("bias added", """The bias is subtracted from the sample, so a larger bias means a smaller force:
-minus tau R.""", ("imu.ACCELEROMETER_BIAS] = -tau", "imu.ACCELEROMETER_BIAS] = tau"))
-
-
-@velocity_rows.mistake("rotation error in the world", """-(R f)^ belongs to R_true = exp(theta^) R. Here the error turns
-the body: R exp(theta^) f, so -R f^.""")
-def _(rotation, force, tau):
-    F = velocity_rows.reference(rotation, force, tau)
-    F[:, :3] = -tau * se3.so3_hat(rotation @ force)
-    return F
-
-
+    minus tau R.""", ("imu.ACCELEROMETER_BIAS] = -tau", "imu.ACCELEROMETER_BIAS] = tau"))
+velocity_rows.slip("rotation error in the world", """-(R f)^ belongs to R_true = exp(theta^) R. Here the error turns the
+    body: R exp(theta^) f, so -R f^.""",
+    ("-tau * rotation @ se3.so3_hat(force)", "-tau * se3.so3_hat(rotation @ force)"))
 velocity_rows.slip("the old velocity forgotten", "v' contains v: its block is the identity.", ("np.eye", "np.zeros"))
+velocity_rows.slip("bias not turned", "The bias is expressed in the IMU frame, the velocity in the world: -tau R.",
+    ("] = -tau * rotation\n", "] = -tau * np.eye(3)\n"))
+velocity_rows.slip("force not turned", "The force is expressed in the IMU frame, the velocity in the world: -tau R f^.",
+    ("-tau * rotation @ se3", "-tau * se3"))
+velocity_rows.slip("columns of the position", "v' does not contain p. The order is [R, p, v, b_g, b_a].",
+    ("imu.VELOCITY", "imu.POSITION"))
+velocity_rows.slip("columns of the gyro's bias", "The accelerometer's bias comes last: [R, p, v, b_g, b_a].",
+    ("imu.ACCELEROMETER_BIAS", "imu.GYRO_BIAS"))
 
 
 def _gyro(rng):
@@ -68,15 +69,15 @@ def rotation_bias_jacobian(omega, taus):
 
 
 rotation_bias_jacobian.slip("no turn", """What an early sample adds is turned by all that come later: the old J is
-multiplied by exp(tau omega^)^T before the new term joins.""", ("w).T", "0 * w).T"))
-
-
+    multiplied by exp(tau omega^)^T before the new term joins.""", ("se3.so3_exp(tau * w).T @ J", "J"))
 rotation_bias_jacobian.slip("sign", "The bias is subtracted from the gyro: a larger one turns less.",
-                            ("- tau", "- -tau"))
-
-
-rotation_bias_jacobian.slip("turned the wrong way", """J delta is a right perturbation of the product. It moves past
-the next factor E from left to right: exp(a^) E = E exp((E^T a)^), so E^T.""", ("w).T", "-w).T"))
+    ("J - tau", "J + tau"))
+rotation_bias_jacobian.slip("turned the wrong way", """J delta is a right perturbation of the product. It moves past the
+    next factor E from left to right: exp(a^) E = E exp((E^T a)^), so E^T.""",
+    ("se3.so3_exp(tau * w).T", "se3.so3_exp(tau * w)"))
+rotation_bias_jacobian.slip("new term turned as well", """J_r of a sample is a right perturbation *after* its factor
+    already: only the old J moves past it.""",
+    ("J - tau * se3.so3_right_jacobian(tau * w)", "(J - tau * se3.so3_right_jacobian(tau * w))"))
 
 
 def _tracks(rng):
@@ -99,22 +100,12 @@ def project_track(H_x, H_f, residual):
     return H.T @ H, H.T @ (N.T @ residual)
 
 
-project_track.slip("landmark taken as known", """Without the projection the landmark's error counts as zero: the
-clones learn from a landmark that nobody knows.""", ("qr(H_f)[0][:, 3:]", "qr(H_f)[0]"))
-
-
-@project_track.mistake("the columns that H_f reaches", """The first three columns of Q span H_f itself. The null space
-is spanned by the others.""")
-def _(H_x, H_f, residual):
-    Q = qr(H_f)[0][:, :3]
-    H = Q.T @ H_x
-    return H.T @ H, H.T @ (Q.T @ residual)
-
-
-@project_track.mistake("residual not projected", "Residual and H_x share their rows: both are multiplied by N^T.")
-def _(H_x, H_f, residual):
-    N = qr(H_f)[0][:, 3:]
-    return H_x.T @ N @ N.T @ H_x, H_x.T @ residual
+project_track.slip("landmark taken as known", """Without the projection the landmark's error counts as zero: the clones
+    learn from a landmark that nobody knows.""", ("qr(H_f)[0][:, 3:]", "np.eye(len(H_f))"))
+project_track.slip("the columns that H_f reaches", """The first three columns of Q span H_f itself. The null space is
+    spanned by the others.""", ("[:, 3:]", "[:, :3]"))
+project_track.slip("residual not projected", "Residual and H_x share their rows: both are multiplied by N^T.",
+    ("H.T @ (N.T @ residual)", "H_x.T @ residual"))
 
 
 def _two_estimates(rng):
@@ -139,20 +130,13 @@ def first_estimates_jacobian(J, first_pose, first_landmark, pose, landmark):
     return np.hstack([J @ first_pose[:3, :3].T, -J, J @ se3.so3_hat(s)])
 
 
-@first_estimates_jacobian.mistake("the best estimates", """That is the standard EKF. The Jacobians of one variable are
-then taken at several points, and what no camera sees seems to be seen.""")
-def _(J, first_pose, first_landmark, pose, landmark):
-    return first_estimates_jacobian.reference(J, pose, landmark, pose, landmark)
-
-
+first_estimates_jacobian.slip("the best estimates", """That is the standard EKF. The Jacobians of one variable are then
+    taken at several points, and what no camera sees seems to be seen.""",
+    ("se3.inverse(first_pose), first_landmark", "se3.inverse(pose), landmark"), ("first_pose[:3", "pose[:3"))
 first_estimates_jacobian.slip("landmark as now estimated", """The landmark too is linearised where it was born: each
-variable in H has one point for good.""", ("first_landmark)", "landmark)"))
-
-
-@first_estimates_jacobian.mistake("pose as now estimated", """The pose too: its point is the prediction, whatever
-an update has made of it since.""")
-def _(J, first_pose, first_landmark, pose, landmark):
-    return first_estimates_jacobian.reference(J, pose, first_landmark, pose, landmark)
+    variable in H has one point for good.""", ("first_landmark)", "landmark)"))
+first_estimates_jacobian.slip("pose as now estimated", """The pose too: its point is the prediction, whatever an update
+    has made of it since.""", ("inverse(first_pose)", "inverse(pose)"), ("first_pose[:3", "pose[:3"))
 
 
 def _sheets(rng):
@@ -173,21 +157,12 @@ def datasheet(angle_random_walk, velocity_random_walk, rate):
     return np.deg2rad(angle_random_walk) / 60 * rate**0.5, velocity_random_walk / 60 * rate**0.5
 
 
-@datasheet.mistake("hour without a root", "Per root hour: an hour is 3600 s, its root is 60.")
-def _(angle_random_walk, velocity_random_walk, rate):
-    return np.deg2rad(angle_random_walk) / 3600 * rate**0.5, velocity_random_walk / 3600 * rate**0.5
-
-
+datasheet.slip("hour without a root", "Per root hour: an hour is 3600 s, its root is 60.", (") / 60", ") / 3600"),
+    ("walk / 60", "walk / 3600"))
 datasheet.slip("degrees", "The gyro is to be in rad/s.", ("np.deg2rad(angle_random_walk)", "angle_random_walk"))
-
-
-@datasheet.mistake("density for a sample", """The density does not know the rate. A sample is a mean over 1/rate
-seconds; the shorter that is, the noisier: times sqrt(rate).""")
-def _(angle_random_walk, velocity_random_walk, rate):
-    return np.deg2rad(angle_random_walk) / 60, velocity_random_walk / 60
-
-
-@datasheet.mistake("divided by the root of the rate", """Faster samples average over less time and are noisier each:
-times sqrt(rate). What is divided is the uncertainty of an angle after one sample.""")
-def _(angle_random_walk, velocity_random_walk, rate):
-    return np.deg2rad(angle_random_walk) / 60 / rate**0.5, velocity_random_walk / 60 / rate**0.5
+datasheet.slip("density for a sample", """The density does not know the rate. A sample is a mean over 1/rate seconds;
+    the shorter that is, the noisier: times sqrt(rate).""", (") / 60 * rate**0.5", ") / 60"),
+    ("walk / 60 * rate**0.5", "walk / 60"))
+datasheet.slip("divided by the root of the rate", """Faster samples average over less time and are noisier each: times
+    sqrt(rate). What is divided is the uncertainty of an angle after one sample.""", (") / 60 * rate", ") / 60 / rate"),
+    ("walk / 60 * rate", "walk / 60 / rate"))

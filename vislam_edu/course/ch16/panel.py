@@ -1,76 +1,89 @@
-"""Chapter 16: how far an IMU alone may be off, with and without its biases in the state."""
+"""Chapter 16: how far an IMU alone may be off, with and without its biases in the state; which error is to blame."""
 
 import numpy as np
 
 from ... import imu
 from ...plots import two_digits
 from ...plots.style import COLOURS
-from ...widgets.canvas import Decades, Picture
-from ...widgets.panels import add_axes, legend_above
+from ...widgets.canvas import Decades, Number, Picture
+from ..panels import LETTERING, add_axes, legend_above
 
 TIMES = np.linspace(0, 20, 101)  # s
+SOURCES = ("gyro noise", "accel. noise", "gyro bias", "accel. bias")
 CONTROLS = {
     "gyro_density": Decades("gyro noise (rad/s/√Hz)", 1.7e-4, 1e-5, 1e-2, 0.1),
     "accelerometer_density": Decades("accelerometer noise (m/s²/√Hz)", 2e-3, 1e-4, 1e-1, 0.1),
     "gyro_bias": Decades("gyro bias, 1 σ (rad/s)", 1e-3, 1e-6, 1e-1, 0.1),
     "accelerometer_bias": Decades("accelerometer bias, 1 σ (m/s²)", 5e-2, 1e-4, 1.0, 0.1),
+    "seconds": Number("time without a camera (s)", 1, 1, 20, 1),
 }
 
 
-def growth(noise, gyro_bias, accelerometer_bias, times=TIMES):
-    """(T,) m: standard deviation of x of an IMU that lies still and level, its start known but for the biases.
+def growth(gyro_density, accelerometer_density, gyro_bias, accelerometer_bias, times=TIMES):
+    """(4, T) m: what each of `SOURCES` alone makes of the standard deviation of x; their squares add up.
 
-    noise : `imu.ImuNoise`. gyro_bias, accelerometer_bias : standard deviations, rad/s and m/s^2; zero for a filter
-    that has no bias states and takes both for known.
+    The IMU lies still and level, its start is known but for the biases. Densities as in `imu.ImuNoise`; biases as
+    standard deviations, rad/s and m/s^2.
     """
-    tau = times[1] - times[0]
-    taus = np.full(10, tau / 10)
-    motion = imu.preintegrate(np.zeros((10, 3)), np.tile(-imu.GRAVITY, (10, 1)), taus, np.zeros(3), np.zeros(3), noise)
-    F, Q = imu.transition(np.eye(3), motion)
-    if not (gyro_bias or accelerometer_bias):
-        Q[imu.BIASES], Q[:, imu.BIASES] = 0, 0
-    P = np.zeros((15, 15))
-    P[imu.BIASES, imu.BIASES] = np.diag(np.repeat([gyro_bias, accelerometer_bias], 3)**2)
-    variance = [0.0]
+    tau, still = times[1] - times[0], (np.zeros((10, 3)), np.tile(-imu.GRAVITY, (10, 1)))
+    zero, P, Q = np.zeros(3), np.zeros((4, 15, 15)), np.zeros((4, 15, 15))
+    for i, noise in enumerate([(gyro_density, 0.0), (0.0, accelerometer_density)]):
+        motion = imu.preintegrate(*still, np.full(10, tau / 10), zero, zero, imu.ImuNoise(*noise, 0.0, 0.0))
+        F, Q[i] = imu.transition(np.eye(3), motion)
+    P[2, imu.GYRO_BIAS, imu.GYRO_BIAS] = gyro_bias**2 * np.eye(3)
+    P[3, imu.ACCELEROMETER_BIAS, imu.ACCELEROMETER_BIAS] = accelerometer_bias**2 * np.eye(3)
+    variance = [np.zeros(4)]
     for _ in times[1:]:
         P = F @ P @ F.T + Q
-        variance.append(P[3, 3])
-    return np.sqrt(variance)
+        variance.append(P[:, 3, 3])
+    return np.sqrt(variance).T
 
 
 class GrowthPicture(Picture):
-    """The standard deviation of the position of an IMU alone: white noise only, and with uncertain biases."""
+    """Left the standard deviation of the position of an IMU alone through time; right what each error adds to it."""
 
     name = "growth"
-    size = (6.4, 3.6)
+    size = (8.4, 3.6)
     controls = CONTROLS
 
     def build(self):
-        """Two curves on a logarithmic scale."""
-        self.axes = add_axes(self, (0.15, 0.14, 0.81, 0.68), "", "time without a camera (s)", "σ of x (m)",
-                             xlim=(0, TIMES[-1]), yscale="log", ylim=(1e-4, 1e4))
+        """Two curves and a moving line; four bars. Logarithmic scales, of one range."""
+        scale = {"yscale": "log", "ylim": (1e-5, 1e4)}
+        self.axes = add_axes(self, (0.11, 0.14, 0.47, 0.68), "", "time without a camera (s)", "σ of x (m)",
+                             xlim=(0, TIMES[-1]), **scale)
         (self.white,) = self.axes.plot(TIMES[1:], TIMES[1:], "--", color=COLOURS["report"], label="white noise alone")
         (self.biased,) = self.axes.plot(TIMES[1:], TIMES[1:], color=COLOURS["invariant"], label="biases as states")
-        self.moves(self.white, self.biased)
+        self.now = self.axes.axvline(1, color=COLOURS["truth"], linewidth=0.8)
         legend_above(self.axes, [self.white, self.biased])
+        beside = add_axes(self, (0.66, 0.14, 0.32, 0.68), "What each error adds there", "", "", **scale)
+        self.bars = beside.bar(range(4), 1.0, bottom=1e-5, color=[COLOURS["report"]] * 2 + [COLOURS["invariant"]] * 2)
+        beside.set_xticks(range(4), [source.replace(" ", "\n") for source in SOURCES], fontsize=LETTERING)
+        self.moves(self.now, self.white, self.biased, *self.bars)
 
-    def outcome(self, gyro_density, accelerometer_density, gyro_bias, accelerometer_bias):
-        """Both curves, (T,) m."""
-        noise = imu.ImuNoise(gyro_density, accelerometer_density, 0.0, 0.0)
-        return growth(noise, 0.0, 0.0), growth(noise, gyro_bias, accelerometer_bias)
+    @staticmethod
+    def outcome(seconds, **sigmas):
+        """`growth` (4, T), and its column at the time chosen (4,)."""
+        parts = growth(**sigmas)
+        return parts, parts[:, np.searchsorted(TIMES, seconds - 1e-9)]
 
     def draw(self, **state):
-        """Show the growth for these numbers."""
-        for line, sigma in zip((self.white, self.biased), self.outcome(**state)):
-            line.set_ydata(sigma[1:])
+        """Show the growth for these numbers, and the shares at the time chosen."""
+        parts, there = self.outcome(**state)
+        self.white.set_ydata(np.linalg.norm(parts[:2], axis=0)[1:])
+        self.biased.set_ydata(np.linalg.norm(parts, axis=0)[1:])
+        self.now.set_xdata([state["seconds"]] * 2)
+        for bar, sigma in zip(self.bars, there):
+            bar.set_height(max(sigma - 1e-5, 0.0))
 
     def caption(self, **state):
-        """Both after 1 s and after 20 s."""
-        white, biased = self.outcome(**state)
-        second = np.searchsorted(TIMES, 1.0)
-        return (f"σ of x after 1 s: {two_digits(white[second])} m by white noise alone, {two_digits(biased[second])} m "
-                f"with the biases; after 20 s: {two_digits(white[-1])} m and {two_digits(biased[-1])} m.")
+        """Both curves at the time chosen, and the largest part."""
+        parts = self.outcome(**state)[1]
+        white, whole = np.linalg.norm(parts[:2]), np.linalg.norm(parts)
+        largest = SOURCES[int(parts.argmax())].replace("accel.", "accelerometer")
+        return (f"σ of x after {state['seconds']} s: {two_digits(white)} m by white noise alone, {two_digits(whole)} m "
+                f"with the biases. The largest part: {largest}.")
 
     def alt(self, **state):
         """The picture in words."""
-        return "Standard deviation of the position of an IMU alone through time, two curves. " + self.caption(**state)
+        return ("Standard deviation of the position of an IMU alone through time, two curves, and bars for what "
+                "each of four errors adds. " + self.caption(**state))

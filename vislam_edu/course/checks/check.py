@@ -9,7 +9,6 @@ scores nothing; anywhere else it only prints, so that a notebook runs from top t
 """
 
 import inspect
-import json
 import os
 import textwrap
 
@@ -18,10 +17,9 @@ from .edit import plain_source
 from .exercise import EXERCISES, find
 from .picture import Picture
 from .running import copied
-from .verdict import Verdict, judge
+from .verdict import WRONG, Verdict, judge
 
 NBGRADER = "NBGRADER_EXECUTION"  # set by nbgrader in the kernels it starts
-VERDICTS = "VISLAM_EDU_VERDICTS"  # names a file that verdicts are appended to, one JSON object a line
 
 
 class Check:
@@ -33,10 +31,15 @@ class Check:
         self.__doc__ = exercise.statement
 
     def __call__(self, function) -> Picture | None:
-        """Try the function and print the verdict; a notebook shows the picture of what is wrong, where there is one."""
+        """Try the function and print the verdict; a notebook shows the picture of what is wrong, where there is one.
+
+        At the second failure one after the other it shows the lines of a plain answer, which `hint` does as well.
+        """
+        failed = self.last is not None and self.last.status == WRONG
         verdict = self.verdict(function)
         print(on_a_page(verdict.text))
-        _record(verdict)
+        if verdict.more:
+            print(verdict.more if failed else f"A second failure, or hint({verdict.exercise!r}), shows where to look.")
         if os.environ.get(NBGRADER) and not verdict.right:
             raise AssertionError(verdict.text)
         return verdict.picture
@@ -80,20 +83,15 @@ class Checks:
         return "check: " + ", ".join(EXERCISES)
 
 
-def _record(verdict):
-    path = os.environ.get(VERDICTS)
-    if path:
-        with open(path, "a", encoding="utf-8") as file:
-            file.write(json.dumps({"exercise": verdict.exercise, "status": verdict.status,
-                                   "mistake": verdict.mistake, "text": verdict.text}) + "\n")
-
-
 def hint(name, level=1) -> None:
     """Print a hint for an exercise: level 1 is a nudge, each further one says more."""
     hints = find(name).hints
     if level not in range(1, len(hints) + 1):
         raise ValueError(f"{name} has hints 1 to {len(hints)}, not {level!r}; what is left is solution({name!r})")
     print(on_a_page(f"{name}, hint {level} of {len(hints)}: {hints[level - 1]}"))
+    last = getattr(check, name).last
+    if last is not None and last.more:
+        print(last.more)
 
 
 def solution(name) -> None:

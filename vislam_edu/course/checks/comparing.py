@@ -35,11 +35,13 @@ def close(came, should, tolerance) -> bool:
 
 
 def _shapes(exercise, name, came, should) -> str:
-    text = f"{name or 'the result'} has shape {came.shape}; it should be {should.shape}"
+    text = f"{f'The result {name}' if name else 'The result'} has shape {came.shape}; it should be {should.shape}"
     if came.shape == should.shape[::-1] and close(came.T, should, exercise.tolerance):
         return text + ". The numbers are right, but transposed."
     if came.size == should.size > 1 and close(came.reshape(should.shape), should, exercise.tolerance):
         return text + ". The numbers are right: a column where a flat vector is wanted, or the reverse?"
+    if came.shape[1:] == should.shape != came.shape[:-1] and not exercise.outputs:
+        return text + f". Are these {len(came)} results, of which only one is asked for?"
     if came.ndim > should.ndim:
         return text + ". Has a column (n, 1) met a row (n,) and spread to a table? A flat vector is (n,)."
     return text
@@ -47,6 +49,7 @@ def _shapes(exercise, name, came, should) -> str:
 
 def _numbers(name, came, should) -> str:
     of = f" of {name}" if name else ""
+    digits = 4
     if not np.isfinite(came).all():
         where = tuple(int(i) for i in np.argwhere(~np.isfinite(came))[0])
         worst = f"not a finite number at {list(where)}{of}" if where else f"not a finite number{of}"
@@ -54,33 +57,36 @@ def _numbers(name, came, should) -> str:
         error = np.abs(came - should)
         # The first of those that are the largest but for rounding, which may fall otherwise on another machine.
         where = tuple(int(i) for i in np.argwhere(error >= (1 - 1e-6) * error.max())[0])
+        # As many digits as it takes to see the difference.
+        digits = max(4, 2 + int(np.ceil(-np.log10(error.max() / (np.abs(should).max(initial=0.0) or 1.0)))))
         worst = f"largest difference{of} {number(error[where])}" + (f", at {list(where)}" if where else "")
         if should.size > _SHOWN:
-            worst += f": {number(rounded(came)[where])} where {number(rounded(should)[where])} should be"
+            worst += (f": {number(rounded(came, digits)[where], digits)} where "
+                      f"{number(rounded(should, digits)[where], digits)} should be")
     if should.size > _SHOWN:
         return worst
-    return f"came out{of}\n{block(came)}\nshould be\n{block(should)}\n{worst}"
+    return f"came out{of}\n{block(came, digits)}\nshould be\n{block(should, digits)}\n{worst}"
 
 
 # --- numbers as text --------------------------------------------------------------------------------------
 
 
-def number(value) -> str:
-    return f"{value + 0.0:.4g}"
+def number(value, digits=4) -> str:
+    return f"{value + 0.0:.{digits}g}"
 
 
-def rounded(values):
-    """To four digits of the largest entry: what rounding has left behind, on this machine or another, becomes 0."""
+def rounded(values, digits=4):
+    """To so many digits of the largest entry: what rounding has left behind, on this machine or another, becomes 0."""
     largest = np.abs(values[np.isfinite(values)]).max(initial=0.0)
     if largest == 0.0:
         return values
-    step = 10.0 ** (np.floor(np.log10(largest)) - 3)
+    step = 10.0 ** (np.floor(np.log10(largest)) - digits + 1)
     return np.round(values / step) * step
 
 
-def block(values) -> str:
+def block(values, digits=4) -> str:
     """An array, rounded and indented."""
-    texts = np.vectorize(number, otypes=[object])(rounded(values))
+    texts = np.vectorize(number, otypes=[object])(rounded(values, digits), digits)
     if values.ndim < 2:
         return "  " + (f"[{', '.join(texts)}]" if values.ndim else str(texts))
     width = max((len(text) for text in texts.flat), default=0)

@@ -54,8 +54,12 @@ def plain_source(function: Callable) -> str:
     return "\n".join(lines[node.lineno - 1:]) + "\n"
 
 
-def diff(function: Callable, *edits: Edit) -> str:
+def diff(function: Callable, *edits: Edit, around: int = 1) -> str:
     """The lines that the edits change: `-` before those of the wrong function, `+` before those of the right one."""
-    lines = difflib.unified_diff(wrong_source(function, *edits).splitlines(), plain_source(function).splitlines(),
-                                 n=1, lineterm="")
+    return changed_lines(wrong_source(function, *edits), plain_source(function), around)
+
+
+def changed_lines(wrong: str, right: str, around: int) -> str:
+    """The lines in which two sources differ, `-` and `+` before them. around : lines shown before and after each."""
+    lines = difflib.unified_diff(wrong.splitlines(), right.splitlines(), n=around, lineterm="")
     return "\n".join(line for line in list(lines)[2:] if not line.startswith("@@"))

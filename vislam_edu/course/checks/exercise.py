@@ -22,7 +22,7 @@ from difflib import get_close_matches
 
 import numpy as np
 
-from .edit import Edit, edited
+from .edit import Edit, diff, edited
 
 EXERCISES: dict[str, "Exercise"] = {}  # by name, in the order of the chapters
 
@@ -54,6 +54,10 @@ class Mistake:
     @functools.cached_property
     def function(self) -> Callable:
         return edited(self.base, *self.edits) if self.edits else self.base
+
+    def lines(self) -> str:
+        """The lines of the plain answer that the edits change, as a diff; "" for a function of its own."""
+        return diff(self.base, *self.edits, around=0) if self.edits else ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,9 +126,9 @@ class Exercise:
         self.answers.append(function)
         return function
 
-    def slip(self, name: str, hint: str, *edits: Edit) -> None:
-        """Hang the reference with these edits in the museum."""
-        self.mistakes.append(Mistake(name, " ".join(hint.split()), self.reference, edits))
+    def slip(self, name: str, hint: str, *edits: Edit, of: Callable | None = None) -> None:
+        """Hang a plain answer (the reference, where `of` names no other) with these edits in the museum."""
+        self.mistakes.append(Mistake(name, " ".join(hint.split()), of or self.reference, edits))
 
     def mistake(self, name: str, hint: str):
         """Decorator that hangs a wrong version in the museum."""

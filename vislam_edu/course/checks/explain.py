@@ -1,33 +1,58 @@
 """Why an answer is wrong: what would turn the right answer into it, without a list of mistakes.
 
-Candidates are the museum's pieces, mutants of a plain answer, and the reference with changed arguments or with a
-changed result; then a piece with changed arguments. A candidate explains a result when it gives the same numbers on
-every input. Several results (a mean and a covariance, say) may have explanations of their own.
+Candidates are mutants of a plain answer, and the reference with changed arguments or with a changed result; then two
+changes, one of them a piece of the museum. A candidate explains a result when it gives the same numbers on every
+input. Several results (a mean and a covariance, say) may have explanations of their own.
 """
 
 import contextlib
-import time
+import itertools
+import re
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
 from . import mutants, transforms
 from .comparing import ROUGH, canonical, close
-from .exercise import Exercise
+from .edit import wrong_source
+from .exercise import Exercise, Mistake
 from .running import Outcome, outcome_of, within
 
-LIMIT = 1.5  # s, for the whole search
+CANDIDATES = 2500  # tried at most; counted, so that a verdict does not depend on how busy the machine is
+LIMIT = 30.0  # s of CPU time, the last resort: the longest search takes 3 s
 SHOWN = 3  # explanations that fit alike and are listed
+VAGUE = re.compile("a part(?! of)|one variable|a number|another number")  # words that do not say where
+_COMMON = 2  # kinds of mutants up to this one are tried together with a second mistake
+
+
+class Explanation(NamedTuple):
+    """words : one or more, each finishing "your result is what one gets ...". lines : of a plain answer, as a diff.
+
+    result : which one of several results it explains, "" for all.
+    """
+
+    words: list[str]
+    lines: str
+    result: str = ""
 
 
 class _TimeIsUp(Exception):
     """The search ends here, with what it has found."""
 
 
+class Candidate(NamedTuple):
+    """A wrong function, words for it, and the lines of a plain answer that it changes, as a diff."""
+
+    words: str
+    function: Callable
+    lines: Callable[[], str] = str
+
+
 @dataclass
 class Search:
-    """The candidates found so far: for each wrong result the words of those that give the same numbers."""
+    """The candidates found so far: for each wrong result those that give the same numbers, by their words."""
 
     exercise: Exercise
     cases: list
@@ -35,10 +60,11 @@ class Search:
     expected: list
     wrong: list[int] = field(default_factory=list)  # which results come out wrong on some input
     probe: int = 0  # the input on which candidates are tried first
-    found: dict[int, list[str]] = field(default_factory=dict)
-    joint: list[str] = field(default_factory=list)  # explain all results, the right ones included
-    level: list[tuple[str, Callable, list]] = field(default_factory=list)  # words, function, values on the probe
-    end: float = field(default_factory=lambda: time.monotonic() + LIMIT)
+    found: dict[int, dict[str, Candidate]] = field(default_factory=dict)
+    settled: set[int] = field(default_factory=set)  # results explained by a simpler level
+    joint: dict[str, Candidate] = field(default_factory=dict)  # explain all results, the right ones included
+    level: list[tuple[Candidate, list]] = field(default_factory=list)  # candidates and their values on the probe
+    left: int = field(default_factory=lambda: CANDIDATES)
 
     def __post_init__(self):
         wrong = [i for i, (outcome, should) in enumerate(zip(self.outcomes, self.expected))
@@ -46,27 +72,26 @@ class Search:
         self.probe = next((i for i in wrong if self.outcomes[i].values is not None), wrong[0] if wrong else 0)
         self.wrong = [k for k in range(len(self.expected[0]))
                       if any(not self._same(i, self.expected[i])[k] for i in wrong)]
-        self.found = {k: [] for k in self.wrong}
+        self.found = {k: {} for k in self.wrong}
 
     def _same(self, i, values) -> list[bool]:
         """For each result of input i, whether the student's is the same as these values."""
         return same(self.exercise, self.outcomes[i], values)
 
-    def offer(self, words: str, function: Callable, keep: bool = False) -> None:
+    def offer(self, words: str, function: Callable, lines: Callable[[], str] = str, keep: bool = False) -> None:
         """Try a candidate, first on the probe and, where it fits, on all inputs."""
-        self._watch()
+        self.left -= 1
+        if self.left < 0:
+            raise _TimeIsUp
+        candidate = Candidate(words, function, lines)
         outcome = outcome_of(self.exercise, function, self.cases[self.probe][1])
         if keep and outcome.values is not None:
-            self.level.append((words, function, outcome.values))
+            self.level.append((candidate, outcome.values))
         if outcome.values is None and not self._alike(self.probe, outcome):
             return
         fits = [True] * len(self.expected[0]) if outcome.values is None else self._same(self.probe, outcome.values)
         if any(fits[k] for k in self.wrong):
-            self._confirm(words, function, fits)
-
-    def _watch(self) -> None:
-        if time.monotonic() > self.end:
-            raise _TimeIsUp
+            self._confirm(candidate, fits)
 
     def _alike(self, i, outcome) -> bool:
         error = self.outcomes[i].error
@@ -74,18 +99,18 @@ class Search:
             return False
         return type(error) is type(outcome.error) and str(error) == str(outcome.error)  # one type has many causes
 
-    def _confirm(self, words, function, fits) -> None:
+    def _confirm(self, candidate, fits) -> None:
         for i, (_, arguments) in enumerate(self.cases[:len(self.outcomes)]):
-            outcome = outcome_of(self.exercise, function, arguments)
+            outcome = outcome_of(self.exercise, candidate.function, arguments)
             if outcome.values is None or self.outcomes[i].values is None:
                 fits = [fit and self._alike(i, outcome) for fit in fits]
             else:
                 fits = [fit and now for fit, now in zip(fits, self._same(i, outcome.values))]
-        if all(fits) and words not in self.joint:
-            self.joint.append(words)
+        if all(fits):
+            self.joint.setdefault(candidate.words, candidate)
         for k in self.wrong:
-            if fits[k] and words not in self.found[k]:
-                self.found[k].append(words)
+            if fits[k] and k not in self.settled:
+                self.found[k].setdefault(candidate.words, candidate)
 
     @property
     def done(self) -> bool:
@@ -95,12 +120,13 @@ class Search:
         """The levels, the simplest first; ends with the first that explains everything."""
         for level in (self._mutants, self._arguments, self._results, self._two)[:1 if simple else 4]:
             level()
+            self.settled = {k for k in self.wrong if self.found[k]}
             if self.done:
                 return
 
     def _mutants(self) -> None:
-        for words, function, _ in mutants.mutants(self.exercise.name):
-            self.offer(words, function, keep=True)
+        for mutant in mutants.of_exercise(self.exercise):
+            self.offer(mutant.words, mutant.function, mutant.lines, keep=True)
 
     def _arguments(self) -> None:
         for words, change in transforms.argument_changes(self.exercise.arguments, self.cases[self.probe][1]):
@@ -108,7 +134,7 @@ class Search:
                 self.offer(words, _after(answer, change), keep=True)
 
     def _results(self) -> None:
-        """The right result changed, or equal to an argument; then wrong results changed."""
+        """The right result changed, or equal to an argument; a usual mistake in one result; wrong results changed."""
         shown = self.outcomes[self.probe].values
         names = self.exercise.arguments
         outputs = self.exercise.outputs
@@ -125,30 +151,35 @@ class Search:
         self._factors()
         for k, other in ((k, other) for k in self.wrong for other in range(len(self.expected[0])) if k != other):
             self.offer(f"with {outputs[other]} returned in place of {outputs[k]}", self._exchanged(k, other))
-        reference = ("", self.exercise.reference, self.expected[self.probe])
-        pieces = [(f"with this mistake: {piece.name}", piece.function, outcome.values)
-                  for piece in self.exercise.mistakes
-                  for outcome in [outcome_of(self.exercise, piece.function, self.cases[self.probe][1])]
+        pieces = [(_piece(mistake), outcome.values) for mistake in self.exercise.mistakes
+                  for outcome in [outcome_of(self.exercise, mistake.function, self.cases[self.probe][1])]
                   if outcome.values is not None]
-        for words, function, values in [reference, *pieces, *self.level]:
-            if words and self.done:
+        for piece, _ in pieces:
+            self.offer(*piece)
+        for candidate, values in [(Candidate("", self.exercise.reference), self.expected[self.probe]), *pieces,
+                                  *self.level]:
+            if candidate.words and self.done:
                 return
-            self._changed_result(words, function, values, shown)
+            self._changed_result(candidate, values, shown)
 
-    def _changed_result(self, words, function, values, shown) -> None:
-        self._watch()
+    def _changed_result(self, candidate, values, shown) -> None:
         if shown is None or len(values) != len(shown):
             return
+        tolerance = self.exercise.tolerance if self.outcomes[self.probe].precise else ROUGH
         for k in self.wrong:
-            for further, change in transforms.result_changes(np.asarray(values[k])):
+            before = np.asarray(values[k])
+            for further, change in transforms.result_changes(before):
                 try:
                     value = np.asarray(change(values[k]))
                 except (ValueError, IndexError, np.linalg.LinAlgError):
                     continue
-                if value.shape == shown[k].shape and close(shown[k], value, self._tolerance(self.probe)):
-                    name = f" ({self.exercise.outputs[k]})" if self.exercise.outputs else ""
-                    self.offer(" and ".join(filter(None, [words, further])) + name, self._with(
-                        function, k, lambda result, arguments, change=change: change(np.asarray(result, float))))
+                # A second change that changes nothing is no part of an explanation.
+                if value.shape == shown[k].shape and close(shown[k], value, tolerance) and not close(
+                        before, value, tolerance):
+                    name = f" (in {self.exercise.outputs[k]})" if self.exercise.outputs else ""
+                    self.offer(", and ".join(filter(None, [candidate.words, further])) + name, self._with(
+                        candidate.function, k, lambda result, arguments, change=change: change(
+                            np.asarray(result, float))), candidate.lines)
 
     def _factors(self) -> None:
         """The right result times a number, or times a power of an argument."""
@@ -171,14 +202,23 @@ class Search:
                             float(arguments[i])**power * np.asarray(result)))
 
     def _two(self) -> None:
-        changes = list(transforms.argument_changes(self.exercise.arguments, self.cases[self.probe][1]))
-        pieces = [(f"with this mistake: {piece.name}", piece.function) for piece in self.exercise.mistakes]
-        for words, function in pieces:
-            for further, change in changes:
-                self.offer(f"{words}; and {further}", _after(function, change))
-
-    def _tolerance(self, i) -> float:
-        return self.exercise.tolerance if self.outcomes[i].precise else ROUGH
+        """Two mistakes at once, of which one at least is a usual one."""
+        pieces = self.exercise.mistakes
+        for one, other in itertools.combinations([piece for piece in pieces if piece.edits], 2):
+            with contextlib.suppress(ValueError, SyntaxError):  # both edits may concern the same text
+                both = Mistake(f"{one.name}, and: {other.name}", "", one.base, one.edits + other.edits)
+                self.offer(f"with these two mistakes: {both.name}", both.function, both.lines)
+        for piece in pieces:
+            for further, change in transforms.argument_changes(self.exercise.arguments, self.cases[self.probe][1]):
+                self.offer(f"{_piece(piece).words}, and {further}", _after(piece.function, change), _piece(piece).lines)
+        for piece in pieces:
+            source = wrong_source(piece.base, *piece.edits) if piece.edits else ""
+            for mutant in mutants.of_source(source, piece.base, self.exercise.statement) if source else ():
+                if mutant.kind <= _COMMON:
+                    self.offer(f"{_piece(piece).words}, and {mutant.words}", mutant.function, _both(piece, mutant))
+        common = [mutant for mutant in mutants.of_exercise(self.exercise) if mutant.kind < _COMMON]
+        for mutant in mutants.pairs(common):
+            self.offer(mutant.words, mutant.function, mutant.lines)
 
     def _with(self, function, k, change):
         """The function with result number k changed."""
@@ -201,6 +241,14 @@ def _after(function, change):
     return lambda *arguments: function(*change(arguments))
 
 
+def _both(piece: Mistake, mutant: mutants.Mutant) -> Callable[[], str]:
+    return lambda: f"{piece.lines()}\n{mutant.lines()}"
+
+
+def _piece(mistake: Mistake) -> Candidate:
+    return Candidate(f"with this mistake: {mistake.name}", mistake.function, mistake.lines)
+
+
 def same(exercise, outcome, values) -> list[bool]:
     """For each result, whether the outcome's is the same as these values."""
     if outcome.values is None:
@@ -213,8 +261,8 @@ def same(exercise, outcome, values) -> list[bool]:
     return [a.shape == np.shape(b) and close(a, np.asarray(b), tolerance) for a, b in zip(came, should)]
 
 
-def explain(exercise, cases, outcomes, expected, simple=False) -> list[str]:
-    """Words for what gives an answer's numbers, each finishing "your result is what one gets ..."; [] if not found.
+def explain(exercise, cases, outcomes, expected, simple=False) -> list[Explanation]:
+    """What gives an answer's numbers: one explanation of all results, or one for each wrong result; [] if not found.
 
     simple : only one change in the plain answer.
     """
@@ -225,10 +273,17 @@ def explain(exercise, cases, outcomes, expected, simple=False) -> list[str]:
             search.run(simple)
 
     if search.wrong:
-        within(work, LIMIT + 0.3)  # should one candidate never come back
+        within(work, LIMIT)
     if search.joint:
-        return search.joint[:SHOWN]
-    if search.wrong and all(search.found.values()):
-        return [";\n  ".join(f"{exercise.outputs[k] if exercise.outputs else 'the result'} as one gets "
-                             f"{search.found[k][0]}" for k in search.wrong)]
-    return []
+        return [_explanation(search.joint)]
+    if not all(search.found.values()):
+        return []
+    names = exercise.outputs or ("",)
+    return [_explanation(found, names[k]) for k, found in search.found.items()]
+
+
+def _explanation(found: dict[str, Candidate], result: str = "") -> Explanation:
+    """Those first that say which part it is."""
+    best = sorted(found.values(), key=lambda one: (
+        bool(VAGUE.search(one.words)), not re.search("`|mistake", one.words)))
+    return Explanation([candidate.words for candidate in best[:SHOWN]], best[0].lines(), result)

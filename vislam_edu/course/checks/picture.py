@@ -8,10 +8,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from matplotlib.colors import SymLogNorm
+from matplotlib.patches import Rectangle
 
 from ...plots import drawing
 from ...plots.style import ellipse_points, png_and_alt, styled
-from .localise import wrong_entries
+from .right_parts import wrong_entries
 
 _YOURS, _RIGHT = "#d55e00", "#0072b2"
 
@@ -80,17 +82,27 @@ def _ellipses(picture):
                    ("first variable", "second variable"), "95 % ellipses of its first two variables")
 
 
-@styled
 def _matrices(picture):
-    figure, axes = drawing.new_figure()
-    both = np.hstack([picture.came, np.full((len(picture.came), 1), np.nan), picture.should])
-    largest = np.abs(picture.should).max() or 1.0
-    axes.imshow(both, cmap="RdBu_r", vmin=-largest, vmax=largest)
-    for row, column in np.argwhere(wrong_entries(picture.came, picture.should, picture.tolerance)):
-        axes.plot(column + np.array([-0.5, 0.5, 0.5, -0.5, -0.5]), row + np.array([-0.5, -0.5, 0.5, 0.5, -0.5]),
-                  color="black", linewidth=1.2)
-    n = picture.should.shape[1]
-    axes.set_xticks([(n - 1) / 2, n + 1 + (n - 1) / 2], ["yours", "right"])
-    axes.set(ylabel="row")
+    framed = np.argwhere(wrong_entries(picture.came, picture.should, picture.tolerance))
+    return matrices(picture.came, picture.should, "right", framed, f"{picture.name}: wrong entries are framed")
+
+
+@styled
+def matrices(mine, right, name, framed, title):
+    """A figure of two matrices and their difference, each on a colour scale of its own.
+
+    mine, right : (n, m), the student's and that of `name`. framed : (k, 2), entries with a frame.
+    """
+    figure, axes = drawing.new_figure(height=2.6)
+    gap, columns = np.full((len(mine), 1), np.nan), mine.shape[1]
+    scaled = [matrix / (np.nanmax(np.abs(matrix)) or 1.0) for matrix in (mine, right, mine - right)]
+    axes.imshow(np.hstack([scaled[0], gap, scaled[1], gap, scaled[2]]), cmap="RdBu_r", aspect="auto",
+                norm=SymLogNorm(1e-3, vmin=-1, vmax=1))
+    lefts = (columns + 1) * np.arange(3)
+    for row, column in framed:
+        for left in lefts:
+            corner = left + column - 0.5, row - 0.5
+            axes.add_patch(Rectangle(corner, 1, 1, fill=False, edgecolor="black", linewidth=2))
+    axes.set(xticks=lefts + (columns - 1) / 2, xticklabels=["yours", name, f"yours - {name}"])
     axes.grid(False)
-    return drawing.finish(figure, f"{picture.name}: wrong entries are framed")
+    return drawing.finish(figure, title)

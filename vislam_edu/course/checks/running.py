@@ -6,11 +6,13 @@ import copy
 import ctypes
 import inspect
 import linecache
+import os
 import re
 import sys
 import sysconfig
 import textwrap
 import threading
+import time
 import traceback
 import warnings
 from dataclasses import dataclass
@@ -21,12 +23,15 @@ import numpy as np
 
 from . import surroundings
 
-LIMIT = 5.0  # s, for all inputs of one check together; a right answer takes milliseconds
+LIMIT = 5.0  # s of CPU time, for all inputs of one check together; a right answer takes milliseconds
+_PATIENCE = 8.0  # times the limit may pass by the clock on the wall: then an answer waits for something, or sleeps
+_POLL = 0.02  # s
 _GRACE = 0.2  # s, for a stopped answer to end
 _DEEPEST = 10_000  # calls within calls that an answer may ask for
 
 _PACKAGE = Path(__file__).resolve().parents[2]
-_NOT_THEIRS = [str(_PACKAGE), *{sysconfig.get_path(key) for key in ("stdlib", "purelib", "platlib")}, "<frozen"]
+_NOT_THEIRS = [*(f"{path}{os.sep}" for path in [_PACKAGE, *(sysconfig.get_path(key) for key in (
+    "stdlib", "purelib", "platlib"))]), "<frozen"]
 _ADDRESS = re.compile(r"0x[0-9a-fA-F]+")
 
 
@@ -81,15 +86,20 @@ def answers(exercise, function, cases, limit=LIMIT) -> tuple[list[Outcome], str]
 
 
 def within(work, limit) -> str:
-    """Run `work()` for at most `limit` seconds in a thread of its own; "" if it came to its end, else see `answers`.
+    """Run `work()` in a thread of its own; "" if it came to its end, else see `answers`. limit : s of CPU time.
 
-    It may not recurse deeper than `_DEEPEST`, whatever it asks for. What it asked for is undone by the thread itself,
-    when it ends: Python aborts when the limit is lowered under a thread that is deep in its calls.
+    CPU time, because a busy machine must not change a verdict. Where a thread has no clock of its own it is that of
+    the process, which does nothing else meanwhile. The work may not recurse deeper than `_DEEPEST`, whatever it asks
+    for. What it asked for is undone by the thread itself, when it ends: Python aborts when the limit is lowered under
+    a thread that is deep in its calls.
     """
     before, ask = sys.getrecursionlimit(), sys.setrecursionlimit
     capped = mock.patch.object(sys, "setrecursionlimit", lambda depth: ask(min(depth, max(before, _DEEPEST))))
+    clocks: list[int] = []
 
     def guarded():
+        if hasattr(time, "pthread_getcpuclockid"):
+            clocks.append(time.pthread_getcpuclockid(threading.get_ident()))
         try:
             with contextlib.suppress(_Stop):
                 work()
@@ -97,13 +107,20 @@ def within(work, limit) -> str:
             capped.stop()
             ask(before)
 
+    def spent() -> float:
+        with contextlib.suppress(OSError, IndexError):  # no clock, not started yet, or ended just now
+            return time.clock_gettime(clocks[0])
+        return time.process_time() - started
+
     capped.start()
     thread = threading.Thread(target=guarded, daemon=True)
+    started, end = time.process_time(), time.monotonic() + _PATIENCE * limit
     with warnings.catch_warnings():  # a warning would show a path that differs from run to run
         warnings.simplefilter("ignore")
         try:
             thread.start()
-            thread.join(limit)
+            while thread.is_alive() and spent() < limit and time.monotonic() < end:
+                thread.join(_POLL)
         except RuntimeError:  # a system without threads, such as Python in a browser: no time limit there
             guarded()
         finally:  # also when the student interrupts the kernel
@@ -126,7 +143,7 @@ def outcome_of(exercise, function, arguments) -> Outcome:
     try:
         result = function(*given)
         if exercise.reading and not (result is None or result is ... or result is NotImplemented):
-            result = exercise.reading(result)
+            result = exercise.reading(_as_yielded(result) if inspect.isgenerator(result) else result)
     except NotImplementedError as error:
         raised_in = _their_frames(error)[-1:]
         calls = [frame.name for frame in raised_in if frame.name != getattr(function, "__name__", frame.name)]
@@ -138,7 +155,7 @@ def outcome_of(exercise, function, arguments) -> Outcome:
     if result is None or result is ... or result is NotImplemented:
         return Outcome(blank=True, nothing=result is None)
     changed = tuple(name for name, before, after in zip(exercise.arguments, arguments, given)
-                    if isinstance(before, np.ndarray) and not np.array_equal(before, after, equal_nan=True))
+                    if not _alike(before, after))
     try:
         values, precise, remarks = read(result, exercise.outputs)
     except Unreadable as error:
@@ -146,13 +163,34 @@ def outcome_of(exercise, function, arguments) -> Outcome:
     return Outcome(values, changed=changed, precise=precise, remarks=remarks)
 
 
+def _as_yielded(states) -> list:
+    """What a generator yields. Raises Unreadable where it changes afterwards what it has yielded."""
+    kept = [(state, copied(state)) for state in states]
+    if not all(_alike(*pair) for pair in kept):
+        raise Unreadable("your function changes an array after it has yielded it, and whoever has kept it finds the "
+                         "last state in place of each: yield a copy, or make a new array in each step")
+    return [state for state, _ in kept]
+
+
+def _alike(before, after) -> bool:
+    """Whether an array, or each array of a tuple, has kept its numbers."""
+    if isinstance(before, tuple | list):
+        return len(before) == len(after) and all(map(_alike, before, after))
+    return not isinstance(before, np.ndarray) or np.array_equal(before, after, equal_nan=before.dtype.kind == "f")
+
+
+def tree_of(function) -> ast.Module | None:
+    """The syntax tree of a function's source; None where it has none, or is a lambda in the middle of a line."""
+    try:
+        return ast.parse(textwrap.dedent(inspect.getsource(function)))
+    except (OSError, TypeError, SyntaxError):
+        return None
+
+
 def written(function) -> bool:
     """Whether a function holds more than a stub does: its docstring, `raise`, `pass`, `...`, `return None`."""
-    try:
-        tree = ast.parse(textwrap.dedent(inspect.getsource(function)))
-    except (OSError, TypeError, SyntaxError):  # no source, or a lambda in the middle of a line
-        return False
-    functions = [node for node in tree.body if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)]
+    tree = tree_of(function)
+    functions = [node for node in tree.body if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)] if tree else []
     return any(not _is_stub_line(line) for node in functions[:1] for line in node.body)
 
 
@@ -213,6 +251,9 @@ def _array(part, name, remarks) -> np.ndarray:
     try:
         array = np.asarray(part)
     except ValueError:
+        if isinstance(part, tuple):
+            raise Unreadable(f"{name} must be one array, and it is a tuple of {len(part)}: return nothing besides the "
+                             "result that the statement asks for") from None
         raise Unreadable(f"{name} is a list whose rows have different lengths") from None
     if array.dtype.kind == "c" and not array.imag.any():
         remarks[f"({name} came as complex numbers without imaginary parts: take .real.)"] = None
@@ -235,6 +276,8 @@ def error_message(error) -> str:
     """An exception as its author needs it: their own lines, innermost last, and the message."""
     if isinstance(error, Unreadable):
         return str(error)
+    if hasattr(error, "told"):  # it was raised in another process, which had the code
+        return error.told
     lines = []
     for frame in _their_frames(error):
         code = linecache.getline(frame.filename, frame.lineno or 0).strip()

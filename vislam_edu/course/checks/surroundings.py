@@ -10,6 +10,7 @@ import math
 import sys
 import types
 from collections.abc import Iterator
+from unittest import mock
 
 import numpy as np
 import scipy.linalg
@@ -73,9 +74,14 @@ class _Capped(io.TextIOBase):
 
 @contextlib.contextmanager
 def guarded() -> Iterator[None]:
-    """Output capped and memory limited, where the system can."""
-    with contextlib.redirect_stdout(_Capped(sys.stdout)), _limited_memory():
+    """Output capped, nothing to type in, and memory limited where the system can."""
+    with contextlib.redirect_stdout(_Capped(sys.stdout)), mock.patch("builtins.input", _no_input), _limited_memory():
         yield
+
+
+def _no_input(*_):
+    raise RuntimeError("input() waits for somebody who types, and in a check there is nobody: all that the function "
+                       "needs comes as its arguments")
 
 
 @contextlib.contextmanager

@@ -1,14 +1,17 @@
 """The verdict on an answer: right, not written yet, or wrong, and then why."""
 
+import textwrap
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
-from . import localise, museum, surroundings
+from . import museum, right_parts, slips, surroundings
 from .comparing import argument, differs
 from .exercise import Exercise, short
-from .explain import explain, same
+from .explain import VAGUE, explain, same
 from .picture import Picture, picture_of
-from .running import LIMIT, answers, arrays, copied, error_message, written
+from .running import LIMIT, Outcome, answers, arrays, copied, error_message, written
 
 RIGHT, NOT_WRITTEN, WRONG = "right", "not written yet", "wrong"
 
@@ -20,7 +23,7 @@ class Verdict:
     status : RIGHT, NOT_WRITTEN or WRONG. text : what the student reads. mistake : its name in the museum where
     it was recognised, else words for what gives the same numbers, else "". located : what of the result is right,
     or what its numbers look like, is said. failing : the arguments of the first input that came out wrong, else None.
-    picture : of its result there, where a result has one.
+    picture : of its result there, where a result has one. more : lines of a plain answer, for a second failure.
     """
 
     exercise: str
@@ -30,6 +33,7 @@ class Verdict:
     failing: tuple | None = None
     located: bool = False
     picture: Picture | None = None
+    more: str = ""
 
     @property
     def right(self) -> bool:
@@ -37,26 +41,42 @@ class Verdict:
 
 
 def judge(exercise: Exercise, function, limit=LIMIT) -> Verdict:
-    """Put an answer to all inputs of its exercise. limit : s, for all of them together."""
+    """Put an answer to all inputs of its exercise. limit : s of CPU time, for all of them together."""
     name = exercise.name
     if not callable(function):
         return Verdict(name, WRONG, f"{name}: give the function itself, without calling it: check.{name}({name})")
     rebound = surroundings.restored()
-    verdict = _judged(exercise, function, limit, rebound)
+    outcomes, ended = answers(exercise, function, exercise.inputs(), limit)
+    rebound += surroundings.restored()  # before anything of ours is called again
+
+    def clues(i):
+        found = slips.clues(exercise, function, outcomes, i, limit)
+        rebound.extend(surroundings.restored())
+        return found
+
+    return concluded(exercise, outcomes, ended, written(function), rebound, clues, limit)
+
+
+def concluded(exercise: Exercise, outcomes: list[Outcome], ended: str, is_written: bool, rebound: list[str],
+              clues: Callable[[int], tuple[str, str]], limit: float = LIMIT) -> Verdict:
+    """The verdict on what an answer did, which needs nothing of the answer itself: see `running.answers`.
+
+    is_written : more than a stub. rebound : names of functions that it changed. clues : from the input that is wrong
+    to what `slips.clues` says of it. limit : s, that it had.
+    """
+    verdict = _judged(exercise, outcomes, ended, is_written, clues, limit)
     if rebound:
         changed = f"Your code has changed {', '.join(sorted({*rebound})[:4])}: put back, so that other checks work."
         verdict = replace(verdict, text=f"{verdict.text}\n{changed}")
     return verdict
 
 
-def _judged(exercise: Exercise, function, limit, rebound: list[str]) -> Verdict:
+def _judged(exercise: Exercise, outcomes, ended, is_written, clues, limit) -> Verdict:
     name = exercise.name
     cases = exercise.inputs()
     expected = [arrays(exercise.expected(*map(copied, arguments)), exercise.outputs)[0] for _, arguments in cases]
-    outcomes, ended = answers(exercise, function, cases, limit)
-    rebound += surroundings.restored()  # before anything of ours is called again
     if any(outcome.blank for outcome in outcomes):
-        return _blank(exercise, function, outcomes)
+        return _blank(exercise, is_written, outcomes)
 
     reasons = [_reason(exercise, outcome, should) for outcome, should in zip(outcomes, expected)]
     failing = [i for i, reason in enumerate(reasons) if reason]
@@ -67,7 +87,7 @@ def _judged(exercise: Exercise, function, limit, rebound: list[str]) -> Verdict:
             "\n  (Your numbers have fewer than 64 bits and were compared to 1e-4; a filter needs float64.)"
         return Verdict(name, RIGHT, f"{name}: right, on {_tried(cases)}, "
                                     f"to {short(exercise.tolerance)} of the largest entry{rough}{_remarks(outcomes)}")
-    return _wrong(exercise, cases, outcomes, expected, reasons)
+    return _wrong(exercise, cases, outcomes, expected, reasons, clues(failing[0]))
 
 
 def _reason(exercise, outcome, expected) -> str:
@@ -75,35 +95,65 @@ def _reason(exercise, outcome, expected) -> str:
         return error_message(outcome.error)
     reason = differs(exercise, outcome, expected)
     if outcome.changed:
-        changed = f"your function changes its argument {' and '.join(outcome.changed)}: work on a copy"
-        return f"{reason}\nand {changed}" if reason else changed
+        changed = f"our function changes its argument {' and '.join(outcome.changed)}: work on a copy"
+        return f"{reason}\nand y{changed}" if reason else f"Y{changed}"
     return reason
 
 
-def _wrong(exercise, cases, outcomes, expected, reasons) -> Verdict:
+def _wrong(exercise, cases, outcomes, expected, reasons, clues) -> Verdict:
     first = next(i for i, reason in enumerate(reasons) if reason)
     label, arguments = cases[first]
-    lines = [f"{exercise.name}: wrong, on input {first + 1} of {len(cases)} ({label})"]
-    lines += [argument(*pair) for pair in zip(exercise.arguments, arguments)]
-    lines.append(reasons[first])
-    pieces, guess = museum.recognise(exercise, cases, outcomes, expected)
-    explanations = explain(exercise, cases, outcomes, expected, simple=bool(pieces))
     sames = [same(exercise, outcome, should) for outcome, should in zip(outcomes, expected)]
-    where = localise.remarks(exercise, cases, outcomes, expected, sames)
-    lines += [f"Most likely: {piece.name}. {piece.hint}" for piece in pieces]
-    if pieces and explanations:
-        lines.append("The same numbers come out " + ", or ".join(explanations[:2]) + ".")
-    elif explanations:
-        lines.append("Your result is what one gets " + ",\n  or ".join(explanations) + ".")
+    found = _causes(exercise, cases, outcomes, expected, sames, *clues)
+    lines = [f"{exercise.name}: wrong, on input {first + 1} of {len(cases)} ({label})",
+             *(argument(*pair) for pair in zip(exercise.arguments, arguments)), reasons[first], *found.said,
+             _remarks(outcomes).strip(), f"To try this input: {exercise.name}(*check.{exercise.name}.failing)"]
+    more = f"In a plain answer these are the lines (- as in yours, + right):\n{textwrap.indent(found.lines, '  ')}"
+    return Verdict(exercise.name, WRONG, "\n".join(filter(None, lines)), found.mistake,
+                   tuple(map(copied, arguments)), located=found.located or outcomes[first].error is not None,
+                   picture=picture_of(exercise, outcomes[first].values or [], expected[first]),
+                   more=more if found.lines else "")
+
+
+class _Causes(NamedTuple):
+    """What is said about the cause; the rest as in Verdict. lines : of a plain answer, as a diff."""
+
+    said: list[str]
+    mistake: str = ""
+    located: bool = False
+    lines: str = ""
+
+
+def _causes(exercise, cases, outcomes, expected, sames, slip, unused) -> _Causes:
+    if slip:
+        return _Causes([slip], slip)
+    pieces, guess = museum.recognise(exercise, cases, outcomes, expected)
+    slip = slips.unmoved(exercise, outcomes, expected, sames) or slips.cut(exercise, outcomes, expected, sames)
+    if slip and not pieces:
+        return _Causes([slip, unused], " ".join(filter(None, [slip, unused])))
+    explanations = explain(exercise, cases, outcomes, expected, simple=bool(pieces))
+    where, looks = right_parts.remarks(exercise, cases, outcomes, expected, sames)
+    said = [f"Most likely: {piece.name}. {piece.hint}" for piece in pieces]
+    if pieces and (others := [words for one in explanations[:1] for words in one.words if not VAGUE.search(words)]):
+        said.append(f"The same numbers come out {', or '.join(others[:2])}.")
+    elif explanations and not pieces:
+        said += [f"Your result is what one gets {_together(explanations)}.", unused, *where]
     elif not pieces:
-        lines += [f"Perhaps: {guess.name}. {guess.hint}"] if guess else []
-        lines += where
-    lines += [_remarks(outcomes).strip()] if _remarks(outcomes) else []
-    lines.append(f"To try this input: {exercise.name}(*check.{exercise.name}.failing)")
-    mistake = next((piece.name for piece in [*pieces, *([] if explanations else [guess])] if piece), "")
-    return Verdict(exercise.name, WRONG, "\n".join(lines), mistake or "; ".join(explanations[:1]),
-                   tuple(map(copied, arguments)), located=bool(where) or outcomes[first].error is not None,
-                   picture=picture_of(exercise, outcomes[first].values or [], expected[first]))
+        said += [unused, *([f"Perhaps: {guess.name}. {guess.hint}"] if guess else []), *where, *looks]
+    named = [piece.name for piece in [*pieces, *([] if explanations else [guess])] if piece]
+    named += ["; ".join(explanation.words[0] for explanation in explanations)] if explanations else [unused]
+    lines = [piece.lines() for piece in pieces] + [explanation.lines for explanation in explanations]
+    return _Causes(said, named[0], bool(where or looks), next(filter(None, lines), ""))
+
+
+def _together(explanations) -> str:
+    """Words for the explanations of all results together, or for one of each wrong result."""
+    if len(explanations) == 1:
+        return ", or ".join(explanations[0].words)
+    results: dict[str, list[str]] = {}
+    for one in explanations:
+        results.setdefault(one.words[0].removesuffix(f" (in {one.result})"), []).append(one.result)
+    return " and ".join(f"{words} (in {' and '.join(names)})" for words, names in results.items())
 
 
 def _remarks(outcomes) -> str:
@@ -111,14 +161,14 @@ def _remarks(outcomes) -> str:
     return "".join(f"\n  {remark}" for remark in found)
 
 
-def _blank(exercise, function, outcomes) -> Verdict:
+def _blank(exercise, is_written, outcomes) -> Verdict:
     if outcomes[-1].calls:
         return Verdict(exercise.name, NOT_WRITTEN,
                        f"{exercise.name}: it calls {outcomes[-1].calls}, which is not written yet")
-    if written(function) and outcomes[-1].nothing:
+    if is_written and outcomes[-1].nothing:
         return Verdict(exercise.name, WRONG, f"{exercise.name}: your function returned nothing on input "
                                              f"{len(outcomes)}: is `return` missing?")
-    if written(function) and len(outcomes) == 1:
+    if is_written and len(outcomes) == 1:
         return Verdict(exercise.name, NOT_WRITTEN, f"{exercise.name}: the line `raise NotImplementedError` is still "
                                                    "there, and nothing below it is run: delete it")
     if len(outcomes) == 1:
@@ -131,9 +181,9 @@ def _too_slow(exercise, case, ended, limit) -> Verdict:
     label, arguments = case
     still = "" if ended == "stopped" else "\nIt could not be stopped and still runs: restart the kernel."
     return Verdict(exercise.name, WRONG, "\n".join([
-        f"{exercise.name}: wrong, still no answer after {limit:g} s, on the input ({label})",
+        f"{exercise.name}: wrong, still no answer after {limit:g} s of computing, on the input ({label})",
         *(argument(*pair) for pair in zip(exercise.arguments, arguments)),
-        f"Does a loop never end?{still}"]), failing=tuple(map(copied, arguments)))
+        f"Does a loop never end, or does it wait for something?{still}"]), failing=tuple(map(copied, arguments)))
 
 
 def _tried(cases) -> str:

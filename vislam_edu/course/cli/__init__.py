@@ -2,6 +2,7 @@
 
 COMMANDS = {
     "start": "copy the notebooks into a folder and open them",
+    "hand-out": "copy the notebooks, with empty stubs, into a folder for students",
     "exercises": "grade submitted notebooks, list the mistakes that checks know",
     "clinic": "an examination with unlabelled faults: hand out case files, grade the answers",
 }

@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+from collections.abc import Callable, Iterable
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -33,26 +34,28 @@ def run(arguments) -> int:
     return subprocess.call([sys.executable, "-m", "jupyterlab", root, str(first)])
 
 
-def copy_notebooks(folder: Path) -> tuple[int, int]:
+def to_start_with(path: Path) -> bytes:
+    """A file as a reader starts with it: in a notebook the results that are to be guessed are still to come."""
+    if path.suffix != ".ipynb":
+        return path.read_bytes()
+    notebook = without_guessed_outputs(json.loads(path.read_text(encoding="utf-8")))
+    return (json.dumps(notebook, ensure_ascii=False, indent=1, sort_keys=True) + "\n").encode()
+
+
+def copy_notebooks(folder: Path, patterns: Iterable[str] = COPIED,
+                   content: Callable[[Path], bytes] = to_start_with) -> tuple[int, int]:
     """Copy the notebooks, their images and pages into a folder; a file that is there is never written over.
 
-    Results that a reader is asked to guess are not in the copies. Returns how many files were copied and how many
-    were there.
+    patterns : of what is copied. content : what is written of a file. Returns how many were copied, how many there.
     """
     copied = kept = 0
-    for path in (path for pattern in COPIED for path in sorted(shipped.ROOT.glob(pattern))):
+    for path in (path for pattern in patterns for path in sorted(shipped.ROOT.glob(pattern))):
         target = folder / path.relative_to(shipped.ROOT)
         if target.exists():
             kept += 1
             continue
         target.parent.mkdir(parents=True, exist_ok=True)
         with files.replacing(target) as file:
-            file.write(to_start_with(path) if path.suffix == ".ipynb" else path.read_bytes())
+            file.write(content(path))
         copied += 1
     return copied, kept
-
-
-def to_start_with(path: Path) -> bytes:
-    """The text of a notebook whose guessed results are still to come."""
-    notebook = without_guessed_outputs(json.loads(path.read_text(encoding="utf-8")))
-    return (json.dumps(notebook, ensure_ascii=False, indent=1, sort_keys=True) + "\n").encode()

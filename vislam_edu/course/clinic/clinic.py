@@ -220,7 +220,8 @@ def grade(student: int | str, answered: Mapping[str, Any], level: int, key: str)
         return {"total": 0.0, "problem": shown(error)}
     parts = ("piece", "kind", "evidence", "cure", "thrift")
     return {"total": round(score.total, 3)} | {part: round(getattr(score, part), 3) for part in parts} \
-        | {"truth": list(map(list, score.truth)), "remarks": list(score.remarks), "problem": ""}
+        | {"truth": list(map(list, score.truth)), "diffs": list(score.diffs), "remarks": list(score.remarks),
+           "problem": ""}
 
 
 # --- scoring --------------------------------------------------------------------------------------------------

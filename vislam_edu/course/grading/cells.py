@@ -46,8 +46,8 @@ def read(path: Path) -> tuple[str, Any]:
     """The text of a notebook file and the notebook. Raises OSError, and ValueError for no valid one of version 4."""
     import nbformat
 
-    submission.code_cells(path)  # what is no notebook at all gets a sentence of ours
     text = submission.read(path)
+    submission.code_cells(text)  # what is no notebook at all gets a sentence of ours
     try:
         with warnings.catch_warnings(action="ignore"):  # about cells without ids
             notebook = nbformat.reader.reads(text)

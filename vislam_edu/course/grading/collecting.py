@@ -1,6 +1,8 @@
-"""Grade all notebooks of a folder, several at a time; each result is kept at once, and an interrupted run goes on."""
+"""Grade all notebooks of a folder, several at a time; each result is kept at once, and an interrupted run goes on.
 
-import hashlib
+All are read before the first one runs: a notebook can change the files of the others.
+"""
+
 import json
 import os
 import threading
@@ -11,8 +13,8 @@ from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
 
-from . import grading, submission
-from .grading import Result, Submission
+from . import grading
+from .grading import Notebook, Result, Submission
 from .sandbox import Sandbox
 
 KEPT = "exercises.partial.jsonl"  # beside the report, until it is complete
@@ -41,26 +43,26 @@ def graded(path: Path, folder: Path, limit: float = grading.LIMIT, jobs: int = 1
     from tqdm import tqdm
 
     root = path if path.is_dir() else path.parent
-    files = {file.relative_to(root).as_posix(): file for file in notebooks(path)}
+    read = {name: grading.read(file, name) for file in notebooks(path)
+            if (name := file.relative_to(root).as_posix())}
     stop, lock = threading.Event(), threading.Lock()
-    digests = {name: _digest(file) for name, file in files.items()}
-    done, tries = _kept(folder / KEPT, digests)
-    for name in files:
+    done, tries = _kept(folder / KEPT, read)
+    for name, notebook in read.items():
         if name not in done and tries[name] >= _TRIES:
-            done[name] = Submission(name, problem="not graded: twice the grader was ended while this was running; run "
-                                                  "it with --sandbox")
+            done[name] = Submission(name, time=notebook.time, problem="not graded: twice the grader was ended while "
+                                    "this was running; run it with --sandbox")
 
     with open(folder / KEPT, "a", encoding="utf-8") as log:
         def keep(name, event, **content):
             with lock:
-                log.write(json.dumps({"notebook": name, "digest": digests[name], event: True} | content) + "\n")
+                log.write(json.dumps({"notebook": name, "digest": read[name].digest, event: True} | content) + "\n")
                 log.flush()
                 os.fsync(log.fileno())
 
         def work(name):
             keep(name, "started")
             try:
-                result = grading.grade(files[name], name, limit, sandbox, root.resolve(), stop)
+                result = grading.grade(read[name], limit, sandbox, root.resolve(), stop)
             except grading.Stopped:
                 keep(name, "stopped")
                 return
@@ -69,38 +71,34 @@ def graded(path: Path, folder: Path, limit: float = grading.LIMIT, jobs: int = 1
 
         pool = ThreadPoolExecutor(jobs)
         try:
-            tasks = [pool.submit(work, name) for name in files if name not in done]
-            for task in tqdm(as_completed(tasks), total=len(files), initial=len(files) - len(tasks), unit="notebook",
+            tasks = [pool.submit(work, name) for name in read if name not in done]
+            for task in tqdm(as_completed(tasks), total=len(read), initial=len(read) - len(tasks), unit="notebook",
                              leave=False, disable=None):
                 task.result()
         except KeyboardInterrupt:
-            raise KeyboardInterrupt(f"{len(done)} of {len(files)} notebooks are graded, and kept in {folder / KEPT}: "
+            raise KeyboardInterrupt(f"{len(done)} of {len(read)} notebooks are graded, and kept in {folder / KEPT}: "
                                     "the same command goes on from there") from None
         finally:
             stop.set()
             pool.shutdown(cancel_futures=True)
-    return [done[name] for name in files]
+    for name, notebook in read.items():
+        if grading.read(notebook.path, name).digest != notebook.digest:
+            done[name].notes.append("its file was changed while notebooks ran; graded as it was before")
+    return [done[name] for name in read]
 
 
-def _digest(file: Path) -> str:
-    try:
-        return hashlib.sha256(submission.read(file).encode()).hexdigest()
-    except (OSError, ValueError):
-        return ""
-
-
-def _kept(path: Path, digests: dict[str, str]) -> tuple[dict[str, Submission], Counter[str]]:
+def _kept(path: Path, read: dict[str, Notebook]) -> tuple[dict[str, Submission], Counter[str]]:
     """What is graded already, and how often each notebook was begun and neither finished nor stopped."""
     done: dict[str, Submission] = {}
     tries: Counter[str] = Counter()
     for entry in _lines(path):
         name = entry["notebook"]
-        if digests.get(name) != entry["digest"]:  # handed in anew
+        if name not in read or read[name].digest != entry["digest"]:  # handed in anew
             continue
         tries[name] += ("started" in entry) - ("stopped" in entry)
         if "submission" in entry:
             content = entry["submission"]
-            done[name] = Submission(name, [Result(**result) for result in content["results"]], content["problem"])
+            done[name] = Submission(**content | {"results": [Result(**result) for result in content["results"]]})
     return done, tries
 
 

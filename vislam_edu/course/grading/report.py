@@ -13,11 +13,13 @@ from pathlib import Path
 from ...recordings.files import shown, write_csv, write_text
 from ..checks.verdict import NOT_WRITTEN, RIGHT, WRONG
 from ..exercises import EXERCISES
-from . import grading
+from . import borrowing, grading
 from .grading import Result, Submission
+from .points import file_name
 
-_COLUMNS = (RIGHT, WRONG, NOT_WRITTEN, grading.NO_VERDICT, grading.MISSING)
+_COLUMNS = (RIGHT, grading.BORROWED, WRONG, NOT_WRITTEN, grading.NO_VERDICT, grading.MISSING)
 _FREQUENT = 10  # mistakes that the summary names
+_EQUAL = 2  # equal answers of two students that the summary names; one alone can be chance
 
 
 def table(submissions: Sequence[Submission]) -> str:
@@ -43,19 +45,43 @@ def _why(result: Result) -> str:
 
 
 def summary(submissions: Sequence[Submission]) -> str:
-    """For the class: how often each exercise came out how, and the most frequent mistakes."""
+    """For the class: how often each exercise came out how, most failures first; frequent mistakes; what to read."""
     counts: dict[str, Counter] = defaultdict(Counter)
     mistakes: Counter = Counter()
     for result in _all_results(submissions):
         counts[result.exercise][result.status] += 1
-        if result.mistake:
+        if result.status == WRONG and result.mistake:
             mistakes[result.exercise, result.mistake] += 1
     lines = [f"{'exercise':30}" + "".join(f"{column:>17}" for column in _COLUMNS)]
     lines += [f"{name:30}" + "".join(f"{counts[name][column]:>17}" for column in _COLUMNS)
-              for name in EXERCISES if name in counts]
+              for name in sorted(counts, key=lambda name: (-_failed(counts[name]), list(EXERCISES).index(name)))]
     lines += ["", "most frequent mistakes"] if mistakes else []
     lines += [f"{count:5}  {name}: {mistake}" for (name, mistake), count in mistakes.most_common(_FREQUENT)]
+    reasons = read_these(submissions)
+    lines += ["", "read these"] if reasons else []
+    lines += [f"  {shown(name)}: {reason}" for name, reason in reasons]
     return "\n".join(lines)
+
+
+def _failed(counts: Counter) -> int:
+    return counts[WRONG] + counts[grading.BORROWED] + counts[grading.NO_VERDICT]
+
+
+def read_these(submissions: Iterable[Submission]) -> list[tuple[str, str]]:
+    """(student or notebook, why a teacher should look at it)."""
+    submissions = list(submissions)
+    found = [(submission.name, f"{result.exercise} is borrowed: {result.mistake}") for submission in submissions
+             for result in submission.results if result.status == grading.BORROWED]
+    found += [(submission.name, note) for submission in submissions for note in submission.notes]
+    return found + [(f"{one} and {other}", f"the same code in {len(equal)} of {both}: {', '.join(equal)}")
+                    for one, other, equal, both in _similar(submissions) if len(equal) >= _EQUAL]
+
+
+def _similar(submissions: Iterable[Submission]) -> list[tuple[str, str, list[str], int]]:
+    answers: dict[str, dict[str, str]] = defaultdict(dict)
+    for submission in submissions:
+        answers[submission.student] |= submission.forms
+    return borrowing.pairs(answers)
 
 
 def _all_results(submissions: Iterable[Submission]) -> list[Result]:
@@ -66,8 +92,9 @@ def write(submissions: Sequence[Submission], folder: Path) -> None:
     """Write what a teacher and the students get into a folder.
 
     exercises.csv : one row for each exercise of each notebook; exercises.json : the same in full. matrix.csv : a row
-    for each student and a column for each exercise. summary.txt : see `summary`. feedback/STUDENT.md : what the checks
-    printed. Where a notebook holds a capstone, capstone.csv has one row for each drive that its filter was judged on.
+    for each student and a column for each exercise. similar.csv : pairs of students with the same code. summary.txt :
+    see `summary`. feedback/STUDENT.md : what the checks printed. Where a notebook holds a capstone, capstone.csv has
+    one row for each drive that its filter was judged on.
     """
     rows: list[list] = []
     for submission in submissions:
@@ -81,7 +108,7 @@ def write(submissions: Sequence[Submission], folder: Path) -> None:
     if scores:
         columns = list(dict.fromkeys(key for score in scores for key in score))
         write_csv(folder / "capstone.csv", columns, ([score.get(key) for key in columns] for score in scores))
-    content = [{"notebook": shown(submission.name), "problem": submission.problem,
+    content = [{"notebook": shown(submission.name), "problem": submission.problem, "notes": submission.notes,
                 "exercises": [{"chapter": result.chapter} | dataclasses.asdict(result)
                               for result in submission.results]} for submission in submissions]
     write_text(folder / "exercises.json", json.dumps(content, indent=2, ensure_ascii=False) + "\n")
@@ -95,10 +122,12 @@ def write(submissions: Sequence[Submission], folder: Path) -> None:
     write_csv(folder / "matrix.csv", ["student", *columns], (
         [student, *({result.exercise: result.status for result in _all_results(own)}.get(name, "") for name in columns)]
         for student, own in students.items()))
+    write_csv(folder / "similar.csv", ["student", "other", "equal", "both wrote", "exercises"], (
+        [one, other, len(equal), both, " ".join(equal)] for one, other, equal, both in _similar(submissions)))
     (folder / "feedback").mkdir(exist_ok=True)
     used: set[str] = set()
     for student, own in students.items():
-        name = re.sub(r"[^\w.-]", "_", shown(student, 80)).lstrip(".") or "_"
+        name = file_name(student)
         while name.lower() in used:  # two names may differ in what a file name cannot hold
             name += "_"
         used.add(name.lower())
@@ -119,6 +148,12 @@ def feedback(student: str, submissions: Iterable[Submission]) -> str:
             elif result.detail and result.status != RIGHT:
                 fence = "`" * max(3, 1 + max(map(len, re.findall("`+", result.detail)), default=0))
                 lines += ["", f"{fence}text", result.detail, fence]
+            if result.score:
+                lines += ["", "| drive | ATE (m) | agreed filter | NEES | agreed filter | verdict |", 6 * "|---" + "|"]
+                lines += [f"| {row['drive']} | " + " | ".join(
+                    "" if row[key] is None else f"{row[key]:.2f}" for key in (
+                        "mine_ate", "agreed_ate", "mine_nees", "agreed_nees"))
+                    + f" | {row['problem'] or 'like the agreed filter, or better'} |" for row in result.score["drives"]]
     return "\n".join(lines)
 
 

@@ -35,8 +35,8 @@ class Sandbox:
         if self.program == "podman":
             user.append("--userns=keep-id")
         variables = [f"--env={key}={value}" for key, value in ({"HOME": "/tmp"} | passed).items()]
-        return [self.program, "run", "--rm", "--init", "--name", name, "--network", "none", "--read-only",
-                "--tmpfs", "/tmp", "--memory", "4g", "--pids-limit", "256", "--cap-drop", "ALL",
+        return [self.program, "run", "--rm", "--init", "--interactive", "--name", name, "--network", "none",
+                "--read-only", "--tmpfs", "/tmp", "--memory", "4g", "--pids-limit", "256", "--cap-drop", "ALL",
                 "--security-opt", "no-new-privileges", "--mount", f"type=bind,source={folder},target={folder},readonly",
                 "--mount", f"type=bind,source={scratch},target={scratch}", *user, *variables, self.image,
                 "python", *python]

@@ -1,18 +1,34 @@
-"""A submitted notebook in a process of its own: its cells are run, and what its checks find is recorded.
+"""A submitted notebook in a process of its own: its cells are run, and what its functions return is written down.
 
 `grading` starts `run` in a fresh process. The cells run in an IPython shell without a kernel: all processes stay in one
-group, no messages have to be understood, and no network is needed.
+group, no messages have to be understood, and no network is needed. After each cell, every function that the cell gives
+to a check is put to the inputs of its exercise, which the seed makes the same everywhere; the results go to the grader
+as numbers and words, and the grader judges them in its own process. What works here is a copy of the package from which
+the notebook's imports are cut off, and each line is signed with a key that the grader hands over before the first cell.
 """
 
+import ast
 import json
 import os
 import stat
 import sys
+from collections.abc import Callable, Iterator
 from contextlib import suppress
+from hashlib import blake2s
 from pathlib import Path
+
+import numpy as np
+
+from ..ch13 import capstone
+from ..checks import slips, surroundings
+from ..checks.running import LIMIT, Outcome, Unreadable, answers, error_message, written
+from ..exercises import EXERCISES
+from . import borrowing
 
 LARGEST = 50_000_000  # characters that are read of a notebook, or of what its checks recorded
 MEMORY, FILE_SIZE = 4 << 30, 100 << 20  # bytes, for each process and for each file that it writes
+MOST_NUMBERS = 20_000  # that one result may have; a right one has a few hundred
+CELLS, RECORD = "cells.json", "record"  # names of files
 
 
 def read(path: Path, most: int = LARGEST) -> str:
@@ -26,10 +42,10 @@ def read(path: Path, most: int = LARGEST) -> str:
     return text
 
 
-def code_cells(path: Path) -> list[str]:
-    """The sources of the code cells of a notebook. Raises OSError, and ValueError for what is no notebook."""
+def code_cells(text: str) -> list[str]:
+    """The sources of the code cells of a notebook. Raises ValueError for what is no notebook."""
     try:
-        content = json.loads(read(path))
+        content = json.loads(text)
     except RecursionError:
         raise ValueError("nested too deeply") from None
     if not isinstance(content, dict) or content.get("nbformat") != 4 or not isinstance(content.get("cells"), list):
@@ -45,30 +61,129 @@ def code_cells(path: Path) -> list[str]:
     return sources
 
 
-def run(path: Path, record: Path, seconds: int) -> None:
-    """Run the code cells of a notebook in its folder, all of them even where some fail, and end this process.
+def run(folder: Path, scratch: Path, seconds: int) -> None:
+    """Run the cells of a notebook in its folder, all of them even where some fail, and end this process.
 
-    record : file that checks append their verdicts to, and this function the error of each cell that failed, by number.
-    seconds : of processor time that the system allows.
+    scratch : holds CELLS, the code cells as JSON, and receives RECORD. The key for that is the first line of the
+    standard input. seconds : of processor time that the system allows.
     """
+    from IPython.core.inputtransformer2 import TransformerManager
     from IPython.core.interactiveshell import InteractiveShell
 
-    from .. import exercises  # noqa: F401 - before anything beside the notebook that has the same name
+    sources = json.loads((scratch / CELLS).read_text(encoding="utf-8"))
+    record = _Record(scratch / RECORD, sys.stdin.readline().strip())
+    os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
+    for name in [name for name in sys.modules if name.partition(".")[0] == "vislam_edu"]:
+        del sys.modules[name]  # the notebook gets a copy of its own, to do with as it likes
+    import vislam_edu.course.exercises  # noqa: F401 - before anything beside the notebook that has the same name
 
-    sources = code_cells(path)
     _restrict(seconds)
-    record.touch()
     os.dup2(os.open(os.devnull, os.O_WRONLY), 2)  # up to here the reader's; its output is not wanted
-    os.chdir(path.parent)
+    os.chdir(folder)
     sys.path.insert(0, "")
-    shell = InteractiveShell.instance()
+    shell, plain = InteractiveShell.instance(), TransformerManager().transform_cell
     for number, source in enumerate(sources):
         result = shell.run_cell(source, store_history=True)
         error = result.error_before_exec or result.error_in_exec
         if error is not None:
-            _append(record, {"cell": number, "error": _described(error)})
-    _append(record, {"end": True})
+            record.add({"cell": number, "error": _described(error)})
+        with suppress(SyntaxError, ValueError, RecursionError):
+            for name, call in calls(plain(source)):
+                record.add(_followed(name, call, shell.user_ns))
+    record.add({"end": True})
     os._exit(0)  # without waiting for threads that the notebook has left
+
+
+class _Record:
+    """Lines that the grader believes: each is JSON behind a digest of it, made with the key."""
+
+    def __init__(self, path, key):
+        self.file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o600)
+        self.key, self.encode, self.write = key, json.JSONEncoder().encode, os.write
+
+    def add(self, entry):
+        text = self.encode(entry)
+        line = f"\n{signature(text, self.key)} {text}\n".encode()
+        with suppress(OSError):
+            while line:
+                line = line[self.write(self.file, line):]
+
+
+def signature(text: str, key: str) -> str:
+    return blake2s(text.encode(), key=key.encode()).hexdigest()
+
+
+def calls(source: str) -> Iterator[tuple[str, ast.Call]]:
+    """The calls `check.NAME(...)` and `capstone.score(...)` in a cell, with NAME or "score". Raises SyntaxError."""
+    for node in ast.walk(ast.parse(source)):
+        match node:
+            case ast.Call(func=ast.Attribute(value=ast.Name(id="check"), attr=name), args=[_]) if name in EXERCISES:
+                yield name, node
+            case ast.Call(func=ast.Attribute(value=ast.Name(id="capstone"), attr="score"), args=[_, *_]):
+                yield "score", node
+
+
+def _followed(name: str, call: ast.Call, namespace: dict) -> dict:
+    """What the function that a cell gives to a check does, or to the capstone's score."""
+    try:
+        function, *others = (_value(argument, namespace) for argument in call.args)
+        options = {keyword.arg: _value(keyword.value, namespace) for keyword in call.keywords if keyword.arg}
+        if name == "score":
+            if not borrowing.in_notebook(function):  # the agreed filter is nobody's answer
+                return {}
+            return {"exercise": "filter_run", "score": capstone.scored(function, *others, **options).figures}
+        return {"exercise": name} | (tried(name, function) if callable(function) else {"outcomes": None})
+    except BaseException as error:  # SystemExit included: the cell may mean to end the kernel
+        return {"exercise": name, "error": _described(error)}
+
+
+def _value(node, namespace):
+    return eval(compile(ast.Expression(node), "<check>", "eval"), namespace)
+
+
+# --- results as data --------------------------------------------------------------------------------------
+
+
+def tried(name: str, function: Callable) -> dict:
+    """A function put to all inputs of an exercise: what `verdict.concluded` needs, as JSON can hold it.
+
+    uses : names of the functions of the package that it calls directly. here : whether its code is in the notebook.
+    """
+    exercise = EXERCISES[name]
+    uses: set[str] = set()
+    rebound = surroundings.restored()
+    outcomes, ended = answers(exercise, borrowing.watched(function, uses), exercise.inputs())
+    clues = slips.clues(exercise, function, outcomes, 0, LIMIT) if outcomes else ("", "")
+    rebound += surroundings.restored()
+    return {"outcomes": list(map(_sent, outcomes)), "ended": ended, "is_written": written(function),
+            "rebound": rebound, "clues": clues, "uses": sorted(uses), "here": borrowing.in_notebook(function)}
+
+
+def _sent(outcome: Outcome) -> dict:
+    values, error = outcome.values, outcome.error
+    if sum(value.size for value in values or []) > MOST_NUMBERS:
+        error = Unreadable(f"it returned arrays of the shapes {[value.shape for value in values or []]}")
+    return vars(outcome) | {
+        "values": None if error or values is None else [[value.shape, value.tobytes().hex()] for value in values],
+        "error": error and [type(error).__name__, _words(error), error_message(error)]}
+
+
+def received(content: dict) -> Outcome:
+    """The outcome that `tried` has sent. Raises ValueError, TypeError and KeyError for what it would not send."""
+    values, error = content["values"], content["error"]
+    return Outcome(**content | {
+        "values": values and [np.frombuffer(bytes.fromhex(numbers)).reshape(shape) for shape, numbers in values],
+        "error": error and _raised(*error), "changed": tuple(content["changed"]),
+        "remarks": tuple(content["remarks"])})
+
+
+def _raised(kind, words, told) -> BaseException:
+    """An exception of the kind of another process, as far as a verdict looks at it."""
+    known = {error.__name__: error for error in (Unreadable, np.linalg.LinAlgError, ZeroDivisionError, TypeError,
+                                                 NameError, ValueError, IndexError)}
+    error = known.get(kind, Exception)(words)
+    error.told = told  # type: ignore[attr-defined]
+    return error
 
 
 def _restrict(seconds: int) -> None:
@@ -83,14 +198,11 @@ def _restrict(seconds: int) -> None:
 
 
 def _described(error: BaseException) -> str:
+    return f"{type(error).__name__}: {_words(error)}"[:1000]
+
+
+def _words(error: BaseException) -> str:
     try:
-        return f"{type(error).__name__}: {error}"[:1000]
-    except Exception:  # its own __str__ fails
-        return type(error).__name__[:1000]
-
-
-def _append(record: Path, entry: dict) -> None:
-    with suppress(OSError):
-        if stat.S_ISREG(os.stat(record).st_mode):
-            with open(record, "a", encoding="utf-8") as file:
-                file.write(json.dumps(entry) + "\n")
+        return str(error)[:10_000]
+    except BaseException:  # its own __str__ fails
+        return ""

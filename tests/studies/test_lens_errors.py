@@ -10,7 +10,7 @@ from vislam_edu import batch, cli, simulate
 from vislam_edu.drive import DriveError
 from vislam_edu.noise import Noise
 from vislam_edu.simulate import faults
-from vislam_edu.studies import lens
+from vislam_edu.studies import lens_errors
 
 IMU_SIGMA = np.array([0.02, 0.02, 0.02, 0.05])
 
@@ -19,8 +19,8 @@ def test_the_border_of_the_lens_solves_the_whole_system():
     drive = simulate.street_loop(seed=3, frames=12, visible=6, life=(4, 30), mean_life=20)
     plain = batch.Problem(drive, Noise(), imu_sigma=IMU_SIGMA)
     estimate = batch.start(plain, drive.true_world_T_imu)
-    problem = lens.with_lens(plain, estimate)
-    px = np.linspace(-1, 1, len(lens.PRIOR_PX))
+    problem = lens_errors.with_lens(plain, estimate)
+    px = np.linspace(-1, 1, len(lens_errors.PRIOR_PX))
     estimate = batch.Estimate(estimate.world_T_imu, drive.true_landmarks, estimate.imu, px)
     at = batch.linearise(problem, estimate)
     r, J = at.whole()
@@ -45,10 +45,10 @@ def test_planted_errors_are_found_within_their_sigmas():
     """
     total = 0.0
     for seed in range(8):
-        drawn = np.random.default_rng((seed, 99)).standard_normal(len(lens.PRIOR_PX))
-        px = {name: sigma * z for (name, sigma), z in zip(lens.PRIOR_PX.items(), drawn)}
+        drawn = np.random.default_rng((seed, 99)).standard_normal(len(lens_errors.PRIOR_PX))
+        px = {name: sigma * z for (name, sigma), z in zip(lens_errors.PRIOR_PX.items(), drawn)}
         drive = faults.lens_error(simulate.street_loop(seed, frames=100, visible=30), **px)
-        found, smoothed = lens.estimate(batch.Problem(drive, Noise()))
+        found, smoothed = lens_errors.estimate(batch.Problem(drive, Noise()))
         error = np.array([found.px[name] - px[name] for name in px])
         total += error @ np.linalg.solve(smoothed.solution.lens_covariance(), error)
     assert 26 < total < 99
@@ -57,9 +57,9 @@ def test_planted_errors_are_found_within_their_sigmas():
 def test_one_drive_calibrates_another(tmp_path):
     px = {"disparity_with_u_2": 3.0, "disparity_with_v_2": -2.0}
     one, other = (simulate.street_loop(seed, frames=60, visible=30) for seed in (1, 2))
-    lens.estimate(batch.Problem(faults.lens_error(one, **px), Noise()))[0].save(tmp_path / "lens.json")
+    lens_errors.estimate(batch.Problem(faults.lens_error(one, **px), Noise()))[0].save(tmp_path / "lens.json")
     bent = faults.lens_error(other, **px)
-    cured = lens.load(tmp_path / "lens.json").corrected(bent)
+    cured = lens_errors.load(tmp_path / "lens.json").corrected(bent)
 
     def bend(drive):
         """RMS error of the disparity, px."""
@@ -68,7 +68,7 @@ def test_one_drive_calibrates_another(tmp_path):
     assert bend(cured) < 0.4 * bend(bent)
     camera = replace(other.camera, K=other.camera.K * [[1.2], [1.2], [1.0]])
     with pytest.raises(DriveError, match="learnt with a focal length"):
-        lens.load(tmp_path / "lens.json").corrected(other.replace(camera=camera))
+        lens_errors.load(tmp_path / "lens.json").corrected(other.replace(camera=camera))
 
 
 def test_what_is_no_lens_is_refused(tmp_path, capsys):
@@ -76,7 +76,7 @@ def test_what_is_no_lens_is_refused(tmp_path, capsys):
     for text in ("", "[]", json.dumps({"px": {}})):
         path.write_text(text)
         with pytest.raises(DriveError, match="not a lens"):
-            lens.load(path)
+            lens_errors.load(path)
     for options in (["--lens"], ["--lens", "--audit", "--causal"]):
         assert cli.main(["run", "first_steps", "--out", str(tmp_path / "out"), *options]) == 2
         assert "--lens needs --audit" in capsys.readouterr().err

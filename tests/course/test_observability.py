@@ -7,9 +7,9 @@ import pytest
 from numerical import central_difference
 
 from vislam_edu import se3, simulate, window_slam
+from vislam_edu.course.ch07 import observability
 from vislam_edu.error_state import RightInvariant, RightPerturbation
 from vislam_edu.noise import Noise
-from vislam_edu.studies import observability
 
 RIGHT_PERTURBATION, RIGHT_INVARIANT = RightPerturbation(), RightInvariant()
 WINDOW = slice(20, 32)

@@ -15,8 +15,8 @@ from functools import reduce
 
 import numpy as np
 
-from .. import se3
-from ..belief import positions
+from ... import se3
+from ...belief import positions
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,8 +63,7 @@ def observability_matrix(error_state, camera, points):
     """H_k Phi_k for each frame k: how its images depend on the error that the state has in the first frame.
 
     error_state : `ErrorState`. camera : StereoCamera. points : LinearisationPoints.
-    Returns (F, 3n, 3n+6), columns ordered [landmarks, position, rotation]; `reshape(-1, 3n+6)`
-    stacks the frames.
+    Returns (F, 3n, 3n+6), columns ordered [landmarks, position, rotation]; `reshape(-1, 3n+6)` stacks the frames.
     """
     frames, n = points.landmarks.shape[:2]
     Phi = np.eye(6)  # of the pose; landmarks stand still
@@ -77,16 +76,14 @@ def observability_matrix(error_state, camera, points):
             Phi = F @ Phi
         _, blocks[k, each, :, each, :], H_pose = error_state.measure(camera, T, landmarks)
         pose_columns[k] = H_pose @ Phi
-    return np.concatenate([blocks.reshape(frames, 3 * n, 3 * n),
-                           pose_columns.reshape(frames, 3 * n, 6)], axis=-1)
+    return np.concatenate([blocks.reshape(frames, 3 * n, 3 * n), pose_columns.reshape(frames, 3 * n, 6)], axis=-1)
 
 
 def rank_by_frame(matrix, tolerance=1e-9):
     """(F,) rank of all rows up to each frame: 3n if the six directions stay unseen, up to 3n + 6 if not.
 
-    matrix : (F, r, c) as `observability_matrix` returns it. tolerance : singular values below this share of
-    the largest count as zero. Columns are brought to length 1 first, so that metres and radians do not
-    matter.
+    matrix : (F, r, c) as `observability_matrix` returns it. tolerance : singular values below this share of the largest
+    count as zero. Columns are brought to length 1 first, so that metres and radians do not matter.
     """
     length = np.linalg.norm(matrix, axis=(0, 1))
     matrix = matrix / np.where(length > 0, length, 1)  # the right-invariant rotation columns are zero

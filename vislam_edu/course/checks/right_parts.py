@@ -7,25 +7,27 @@ import numpy as np
 from .comparing import close
 
 
-def remarks(exercise, cases, outcomes, expected, sames) -> list[str]:
-    """Sentences about a wrong answer; sames[i][k] says whether result k of input i is right."""
+def remarks(exercise, cases, outcomes, expected, sames) -> tuple[list[str], list[str]]:
+    """Sentences about a wrong answer: where it is wrong, and what its numbers look like.
+
+    sames[i][k] says whether result k of input i is right.
+    """
     if all(map(all, sames)):
-        return []
-    found = [_inputs(cases, sames)]
-    names = exercise.outputs or ("the result",)
+        return [], []
+    where, looks = [_inputs(cases, sames)], []
+    names = exercise.outputs or ("your result",)
     always = [all(row[k] for row in sames) for k in range(len(names))]
     if any(always):
-        right = [name for name, is_right in zip(names, always) if is_right]
-        wrong = [name for name, is_right in zip(names, always) if not is_right]
-        found.append(f"{' and '.join(right)} {'is' if len(right) == 1 else 'are'} right; "
-                     f"{' and '.join(wrong)} {'is' if len(wrong) == 1 else 'are'} wrong.")
+        where.append("; ".join(f"{word}: {', '.join(name for name, is_right in zip(names, always) if is_right == kind)}"
+                               for word, kind in (("Right", True), ("wrong", False))) + ".")
     for k, name in enumerate(names):
         pairs = [(outcome.values[k], should[k]) for outcome, should, row in zip(outcomes, expected, sames)
                  if outcome.values is not None and not row[k]]
         pairs = [(a, b) for a, b in pairs if a.shape == b.shape and a.size]
         if pairs and not always[k]:
-            found += _entries(name, pairs, exercise.tolerance)
-    return [remark for remark in found if remark]
+            where += _entries(name, pairs, exercise.tolerance)
+            looks += _looks(f"The result {name}" if exercise.outputs else "Your result", pairs, exercise.tolerance)
+    return [remark for remark in where if remark], looks
 
 
 def _inputs(cases, sames) -> str:
@@ -34,16 +36,28 @@ def _inputs(cases, sames) -> str:
     wrong = Counter(label for (label, _), row in zip(cases, sames) if not all(row))
     if not right:
         return ""
-    return f"Right on {_listed(right, wrong)}; wrong on {_listed(wrong, right)}."
+    return f"Right on these inputs: {_listed(right, wrong)}. Wrong on these: {_listed(wrong, right)}."
 
 
 def _listed(some, others) -> str:
-    return ", ".join(f"{n} of {n + others[label]} {label}" if others[label] else f"{n} {label}" if n > 1 else label
-                     for label, n in some.items())
+    return ", ".join(f'{n} of {n + others[label]} "{label}"' if others[label] else f'{n} "{label}"' if n > 1 else
+                     f'"{label}"' for label, n in some.items())
 
 
 def _entries(name, pairs, tolerance) -> list[str]:
     """What the wrong entries of a result have in common on all inputs on which it is wrong."""
+    if any(not np.isfinite(a).all() for a, _ in pairs):
+        return []
+    if all(close(np.abs(a), np.abs(b), tolerance) for a, b in pairs):
+        return [f"In {name} only signs are wrong{_where(pairs, tolerance)}."]
+    if all(close(np.sort(a, axis=None), np.sort(b, axis=None), tolerance) for a, b in pairs):
+        return [f"In {name} all numbers are right, but some stand in the wrong place."]
+    where = _where(pairs, tolerance)
+    return [f"In {name} what is wrong lies{where}; all else is right{_kind(pairs, tolerance)}."] if where else []
+
+
+def _looks(name, pairs, tolerance) -> list[str]:
+    """What the wrong numbers look like."""
     found = []
 
     def every(test) -> bool:
@@ -54,15 +68,8 @@ def _entries(name, pairs, tolerance) -> list[str]:
 
     if every(lambda a, b: not np.isfinite(a).all()):
         return [f"{name} is not finite: something is divided by zero, or a root of a negative number is taken."]
-    if every(lambda a, b: like(np.abs(a), np.abs(b))):
-        found.append(f"In {name} only signs are wrong{_where(pairs, tolerance)}.")
-    elif every(lambda a, b: like(np.sort(a, axis=None), np.sort(b, axis=None))):
-        found.append(f"In {name} all numbers are right, but some stand in the wrong place.")
-    elif every(lambda a, b: not a.any()):
-        found.append(f"{name} is zero everywhere.")
-    elif _where(pairs, tolerance):
-        found.append(f"In {name} what is wrong lies{_where(pairs, tolerance)}; all else is right"
-                     f"{_kind(pairs, tolerance)}.")
+    if every(lambda a, b: not a.any()):
+        return [f"{name} is zero everywhere."]
     first = pairs[0][1]
     if first.ndim == 2 and first.shape[0] == first.shape[1] > 1:
         if every(lambda a, b: like(b, b.T)) and every(lambda a, b: not like(a, a.T)):
@@ -77,7 +84,8 @@ def _entries(name, pairs, tolerance) -> list[str]:
     ratios = [float(np.linalg.norm(a) / np.linalg.norm(b)) for a, b in pairs if np.any(b) and np.isfinite(a).all()]
     if ratios and (min(ratios) > 1.05 or max(ratios) < 0.95):
         size = "too large" if min(ratios) > 1 else "too small"
-        spread = f"{min(ratios):.3g} to {max(ratios):.3g}" if max(ratios) > 1.01 * min(ratios) else f"{ratios[0]:.3g}"
+        least, most = (f"{x:.0f}" if x >= 1000 else f"{x:.3g}" for x in (min(ratios), max(ratios)))
+        spread = f"{least} to {most}" if max(ratios) > 1.01 * min(ratios) else least
         found.append(f"{name} is {size} on every input that is wrong: its size is {spread} times the right one.")
     return found
 
@@ -110,9 +118,9 @@ def _where(pairs, tolerance) -> str:
     if not all(mask.any() for mask in masks):  # what differs lies in a part that is not compared
         return ""
     words = []
-    for axis, what in zip(range(-min(pairs[0][1].ndim, 2), 0), ("row", "column")[-min(pairs[0][1].ndim, 2):]):
-        what = "entries" if pairs[0][1].ndim == 1 else what
-        words += _range(masks, axis, what)
+    names = [("entries", "entry")] if pairs[0][1].ndim == 1 else [("columns", "column"), ("rows", "row")]
+    for axis in range(-len(names), 0):
+        words += _range(masks, [b for _, b in pairs], axis, *names[-1 - axis])
     if words:
         return f" in {', '.join(words)}"
     if pairs[0][1].ndim == 2 and all(b.shape[0] == b.shape[1] > 1 for _, b in pairs):
@@ -130,23 +138,22 @@ def _side(masks) -> str:
     return "" if any(np.triu(mask).any() for mask in masks) else ", below it"
 
 
-def _range(masks, axis, what) -> list[str]:
+def _range(masks, should, axis, what, single) -> list[str]:
     """The indices along an axis with a wrong entry, counted from the start or, where lengths differ, from the end."""
     lengths = [mask.shape[axis] for mask in masks]
-    others = [tuple(i for i in range(mask.ndim) if i != mask.ndim + axis) for mask in masks]
-    hit = [np.flatnonzero(mask.any(axis=other)) for mask, other in zip(masks, others)]
+    hit = [np.flatnonzero(mask.any(axis=tuple(i for i in range(mask.ndim) if i != mask.ndim + axis))) for mask in masks]
     first, last = min(h.min() for h in hit), max(h.max() for h in hit)
     if len(set(lengths)) > 1:
         back = max(n - h.min() for n, h in zip(lengths, hit))
         if back < max(lengths) and all(h.min() >= n - back for n, h in zip(lengths, hit)) and back <= 6:
-            return [f"the last {back} {what}s".replace("ss", "s").replace("entriess", "entries")]
+            return [f"the last {back} {what}" if back > 1 else f"the last {single}"]
         if all(h.max() < n - 6 for n, h in zip(lengths, hit)):
-            return [f"the {what}s before the last 6".replace("entriess", "entries")]
+            return [f"the {what} before the last 6"]
         return []
-    if last - first + 1 >= lengths[0]:
-        return []
-    name = what if what == "entries" else f"{what}s" if last > first else what
-    return [f"{name} {first} to {last}" if last > first else f"{name} {first}"]
+    others = [np.delete(b, np.s_[first:last + 1], axis).ravel() for b in should]
+    if all(len(np.unique(values)) <= 2 and np.array_equal(values, others[0]) for values in others):
+        return []  # all the rest is always the same, such as the last row of a pose: nothing could be wrong there
+    return [f"{what} {first} to {last}" if last > first else f"{single} {first}"]
 
 
 def _positive(matrix) -> bool:

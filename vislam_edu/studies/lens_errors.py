@@ -1,6 +1,6 @@
 """What a drive says of its own lenses: seven numbers of the calibration, estimated with the path and the map.
 
-    found = lens.estimate(drive, noise)
+    found, _ = lens_errors.estimate(batch.Problem(drive, noise))
     print(found)
     better = found.corrected(drive)     # or another drive of the same cameras
 
@@ -26,7 +26,7 @@ PRIOR_PX = calibration.LENS_PX | {"focal_length": 0.2, "radial": 0.2}
 
 
 @dataclass(frozen=True, eq=False)
-class Lens:
+class LensErrors:
     """What the lenses were found to be off by.
 
     px, sigma_px : of each of `PRIOR_PX`, its size as `faults.lens_error` plants it, px, and one standard deviation.
@@ -60,12 +60,12 @@ class Lens:
         path.write_text(json.dumps(asdict(self), indent=2) + "\n", encoding="utf-8")
 
 
-def load(path) -> Lens:
-    """A `Lens` that was saved. path : pathlib.Path. Raises DriveError when the file holds none."""
+def load(path) -> LensErrors:
+    """The `LensErrors` that were saved. path : pathlib.Path. Raises DriveError when the file holds none."""
     try:
         read = json.loads(path.read_text(encoding="utf-8"))
         px, sigma_px = ({name: float(read[key][name]) for name in PRIOR_PX} for key in ("px", "sigma_px"))
-        lens = Lens(px, sigma_px, float(read["focal_length_px"]), float(read["baseline_m"]))
+        lens = LensErrors(px, sigma_px, float(read["focal_length_px"]), float(read["baseline_m"]))
     except (ValueError, TypeError, KeyError) as error:
         raise DriveError(f"{path}: not a lens as `run --lens` writes it ({type(error).__name__}: {error})") from None
     if not np.isfinite([*lens.px.values(), *lens.sigma_px.values()]).all():
@@ -86,7 +86,7 @@ def with_lens(problem, estimate):
     return replace(problem, lens=np.stack(shifts, axis=-1), lens_sigma=np.array(list(PRIOR_PX.values())))
 
 
-def estimate(problem, world_T_imu=None) -> tuple[Lens, pipeline.Smoothed]:
+def estimate(problem, world_T_imu=None) -> tuple[LensErrors, pipeline.Smoothed]:
     """The lens of a drive, and the batch estimate in which it was found.
 
     problem : `batch.Problem` without a lens. world_T_imu : (T, 4, 4) poses to begin with, by default dead reckoning.
@@ -96,4 +96,4 @@ def estimate(problem, world_T_imu=None) -> tuple[Lens, pipeline.Smoothed]:
     solution, camera = smoothed.solution, problem.drive.camera
     sigma = np.sqrt(np.diagonal(solution.lens_covariance()))
     px, sigma_px = (dict(zip(PRIOR_PX, map(float, numbers))) for numbers in (solution.estimate.lens, sigma))
-    return Lens(px, sigma_px, float(camera.K[0, 0]), float(camera.baseline)), smoothed
+    return LensErrors(px, sigma_px, float(camera.K[0, 0]), float(camera.baseline)), smoothed

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from .. import kalman, plots
+from .. import plots
 from ..simulate import IMAGE_SIZE
 
 # Points. GitHub shows a picture of 1000 px 830 px wide, where lettering of 9.5 points measures 8.2.
@@ -22,18 +22,8 @@ def add_axes(picture, rect, title, xlabel="", ylabel="", **kwargs):
 def legend(axes, handles, columns=9, **kwargs):
     """A legend in one row or a few, by default under the axes' upper edge on the right."""
     kwargs = {"loc": "upper right", "borderaxespad": 0.3, **kwargs}
-    return axes.legend(
-        handles=handles,
-        ncols=columns,
-        fontsize=LETTERING,
-        framealpha=0.85,
-        handlelength=1.6,
-        handletextpad=0.5,
-        columnspacing=1.0,
-        borderpad=0.3,
-        labelspacing=0.3,
-        **kwargs,
-    )
+    return axes.legend(handles=handles, ncols=columns, fontsize=LETTERING, framealpha=0.85, handlelength=1.6,
+                       handletextpad=0.5, columnspacing=1.0, borderpad=0.3, labelspacing=0.3, **kwargs)
 
 
 def legend_above(axes, handles, lines=1, x=0.0):
@@ -59,7 +49,8 @@ def image_axes(picture, rect, title):
                     facecolor="0.97")
 
 
-def nis_band(n_numbers):
-    """NIS / degrees of freedom that 95 % of honest frames show, (2, ...), for frames of so many numbers."""
-    n_numbers = np.asarray(n_numbers)
-    return np.array([kalman.chi_square_quantile(p, n_numbers) / n_numbers for p in (0.025, 0.975)])
+def new_image():
+    """Figure and axes that are the left camera's image, px; v points down."""
+    figure, axes = plots.new_figure(height=1.75)
+    axes.set(xlim=(0, IMAGE_SIZE[0]), ylim=(IMAGE_SIZE[1], 0), aspect="equal", xlabel="u (px)", ylabel="v (px)")
+    return figure, axes
