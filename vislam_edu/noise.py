@@ -11,10 +11,6 @@ from typing import Any
 import numpy as np
 
 
-def _initial_pose_covariance() -> np.ndarray:
-    return np.diag([1e-3, 1e-3, 1e-3, 1e-4, 1e-4, 1e-4])
-
-
 @dataclass(frozen=True, eq=False)
 class Noise:
     """Standard deviations of the sensors, and the covariance of the pose at the start.
@@ -35,7 +31,7 @@ class Noise:
     sigma_v: float = 0.5
     sigma_omega: float = 0.05
     sigma_px: float = 0.7
-    initial_pose_covariance: np.ndarray = field(default_factory=_initial_pose_covariance)
+    initial_pose_covariance: np.ndarray = field(default_factory=lambda: np.diag([1e-3] * 3 + [1e-4] * 3))
     landmark_prior: float = 2.0
 
     def __post_init__(self) -> None:

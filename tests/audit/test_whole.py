@@ -75,10 +75,18 @@ MISTAKES = {
 }
 
 
+@cache
+def audited(*names):
+    """The report of the street with these mistakes, one after the other."""
+    drive = street()
+    for name in names:
+        drive = MISTAKES[name][1](drive)
+    return audit(drive)
+
+
 @pytest.mark.parametrize("name", few(10, MISTAKES))
 def test_one_wrong_reading_is_named_and_undone(name):
-    fault, mistake = MISTAKES[name]
-    report = audit(mistake(street()))
+    fault, report = MISTAKES[name][0], audited(name)
     finding = report.findings[0]
     assert finding.fault == fault
     assert finding.whole
@@ -95,6 +103,18 @@ def test_one_wrong_reading_is_named_and_undone(name):
         np.testing.assert_array_equal(cured.camera.K[:2], right.camera.K[:2] * (0.5 if "half" in name else 2))
     else:
         np.testing.assert_allclose(cured.pixels, right.pixels, atol=1e-9)
+
+
+@pytest.mark.parametrize("pair", few(1, [
+    ("half size", "millimetres"), ("half size", "ms"), ("ms", "degrees"), ("normalised", "millimetres"),
+    ("half size", "swapped"), ("half size", "km/h"), ("half size", "x forward"), ("swapped", "millimetres"),
+]), ids="+".join)
+def test_two_wrong_readings_at_once_are_refused(pair):
+    """Refused, so nothing ends farther off than dead reckoning; both are named where one can be seen by itself."""
+    report = audited(*pair)
+    assert report.refusal
+    assert {"ms", "millimetres"}.isdisjoint(pair) or {MISTAKES[name][0] for name in pair} <= {
+        finding.fault for finding in report.findings}
 
 
 @pytest.mark.parametrize("sentinel", few(1, [0.0, -999.0, 65535.0]))
@@ -138,7 +158,7 @@ def test_tracks_from_half_size_images_end_no_farther_off_than_dead_reckoning(tmp
     assert "half.npz" in said
     assert "images 0.5 times as large" in said
     assert not (tmp_path / "out").exists()
-    report = audit(drive)
+    report = audited("half size")
     cured = report.cured()
     noise = pipeline.noise_of_real_drive(report.noise)
     slam = pipeline.joint(cured, noise, RightInvariant(), motion_model=robust.RealDrive,

@@ -117,7 +117,7 @@ def test_two_mistakes_in_two_results_are_both_named():
         return -delta, P.T @ np.triu(np.ones_like(P)) * 0 + np.diag(np.diag(P))
 
     text = judge(EXERCISES["kalman_update"], answer).text
-    assert "with the sign of `residual` reversed (in delta) and with only the diagonal of the result (in cov" in text
+    assert "reversed (in delta) and with only the diagonal of the result (in covariance)." in text
 
 
 def test_an_error_is_explained_by_the_same_error_only():

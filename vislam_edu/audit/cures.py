@@ -123,12 +123,6 @@ def _camera_at(name: str, needs_future: bool, position: Callable, turn=None) -> 
     return Cure(name, needs_future, function)
 
 
-def subtract_gyro_bias(bias) -> Cure:
-    """Subtract bias (3,), rad/s, from every gyro sample."""
-    return Cure(f"gyro bias {np.round(bias, 5).tolist()} rad/s subtracted", True,
-                lambda drive: drive.replace(twists=drive.twists - np.r_[np.zeros(3), bias]))
-
-
 def scale_imu(factors, what: str) -> Cure:
     """Divide the IMU samples by fitted factors (6,); what : the cure's name."""
     return Cure(what, True, lambda drive: drive.replace(twists=drive.twists / np.asarray(factors)))
@@ -136,15 +130,8 @@ def scale_imu(factors, what: str) -> Cure:
 
 def reverse_gyro_axis(axis: int) -> Cure:
     """Turn the sign of one gyro axis (0, 1, 2)."""
-    signs = np.ones(6)
-    signs[3 + axis] = -1
+    signs = np.where(np.arange(6) == 3 + axis, -1, 1)
     return Cure(f"gyro {'xyz'[axis]} reversed", False, lambda drive: drive.replace(twists=drive.twists * signs))
-
-
-def level_rows(offset: float) -> Cure:
-    """Add offset, px, to every v_right, so that v_left - v_right is zero in the middle."""
-    return Cure(f"v_right raised by {offset:.2f} px", True,
-                lambda drive: drive.replace(pixels=drive.pixels + [0, 0, 0, offset]))
 
 
 def describe_axes(rotation) -> str:

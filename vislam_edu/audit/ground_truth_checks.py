@@ -9,6 +9,7 @@ Slips in time (a shift, a missing row) show only from frame to frame, against th
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import reduce
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -137,10 +138,7 @@ def _between(poses: np.ndarray, n: int, every: int | None = None) -> np.ndarray:
 def _over(steps: np.ndarray, n: int) -> np.ndarray:
     """Motions over n steps, for every n-th step."""
     starts = np.arange(0, len(steps) + 1 - n, n)
-    total = steps[starts]
-    for j in range(1, n):
-        total = total @ steps[starts + j]
-    return total
+    return reduce(np.matmul, (steps[starts + j] for j in range(n)))
 
 
 def _mismatch(truth: np.ndarray, reference: np.ndarray) -> float:

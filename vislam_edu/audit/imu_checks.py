@@ -204,9 +204,11 @@ def gyro_bias(drive, alignment):
     """A gyro that tells of turns at rest."""
     bias, p = alignment.gyro_bias, alignment.p_value(GYRO_BIAS, alignment.gyro_bias)
     if p < SIGNIFICANCE and np.abs(bias).max() > MIN_GYRO_BIAS:
+        cure = cures.Cure(f"gyro bias {np.round(bias, 5).tolist()} rad/s subtracted", True,
+                          lambda drive: drive.replace(twists=drive.twists - np.r_[np.zeros(3), bias]))
         yield Finding("gyro bias", bias.tolist(), "rad/s", chance(p),
                       f"{_list(bias, 4)} +- {_list(alignment.sigma(GYRO_BIAS), 4)} rad/s",
-                      cures.subtract_gyro_bias(bias), "subtract it, or let the filter estimate it as it drives")
+                      cure, "subtract it, or let the filter estimate it as it drives")
 
 
 def facts(timing, alignment):

@@ -37,6 +37,9 @@ def audit(drive: Drive) -> Report:
     report = _judge(_apply(drive, certain))
     if report.alignment is None or report.findings:
         report = whole.explained(report, _judge)
+    if report.alignment is None and len(report.drive.landmark):
+        readings = innovations.readings(report.cured(), report.noise.noise)
+        report = replace(report, findings=(*report.findings, *readings))
     return replace(report, drive=drive, findings=(*certain, *report.findings))
 
 
@@ -70,8 +73,6 @@ def _judge(drive: Drive) -> Report:
         unjudged = f"IMU, extrinsics, scale ({reason})"
         timing, signs, alignment = None, None, None
         noise = measured_noise.from_samples(cured)
-        if len(cured.landmark):
-            findings += innovations.readings(cured, noise.noise)
         facts["IMU noise by second differences [m/s, rad/s]"] = [noise.noise.sigma_v, noise.noise.sigma_omega]
     else:
         mirrored, alignment = imu_checks.mirrored_axis(compared, seen, alignment)

@@ -66,9 +66,11 @@ def row_offset(drive):
     error = 1.2533 * 2**0.5 * visual_odometry.row_noise(drive.pixels) / len(difference) ** 0.5  # of a median
     p = 2 * norm.sf(abs(offset) / max(error, 1e-12))
     if p < SIGNIFICANCE and abs(offset) > MIN_ROW_OFFSET:
+        cure = cures.Cure(f"v_right raised by {offset:.2f} px", True,
+                          lambda drive: drive.replace(pixels=drive.pixels + [0, 0, 0, offset]))
         yield Finding("row offset", offset, "px", chance(p),
                       f"v_left - v_right is {offset:+.2f} px in the middle: the pair is not rectified",
-                      cures.level_rows(offset), f"add {offset:.2f} px to v_right")
+                      cure, f"add {offset:.2f} px to v_right")
 
 
 def missing_frames(drive):

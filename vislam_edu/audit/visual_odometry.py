@@ -99,7 +99,9 @@ def estimate(drive) -> FrameMotions:
     n_steps = drive.n_frames - 1
     after_T_before = np.broadcast_to(np.eye(4), (n_steps, 4, 4)).copy()
     if not len(step):
-        return _nothing(drive, step, before, after)
+        return FrameMotions(motion=after_T_before, covariance=np.zeros((n_steps, 6, 6)), ok=np.zeros(n_steps, bool),
+                            taus=drive.taus, sigma_px=float("nan"), step=step, before=before, after=after,
+                            mahalanobis2=np.empty(0))
 
     for _ in range(_ROBUST_ROUNDS):
         whitener, gain = problem.whitener(after_T_before)
@@ -130,13 +132,6 @@ def estimate(drive) -> FrameMotions:
     after_T_before[~ok] = np.eye(4)
     return FrameMotions(motion=se3.inverse(after_T_before), covariance=covariance, ok=ok, taus=drive.taus,
                         sigma_px=float(variance**0.5), step=step, before=before, after=after, mahalanobis2=d2)
-
-
-def _nothing(drive, step, before, after):
-    n = drive.n_frames - 1
-    return FrameMotions(
-        motion=np.broadcast_to(np.eye(4), (n, 4, 4)), covariance=np.zeros((n, 6, 6)), ok=np.zeros(n, bool),
-        taus=drive.taus, sigma_px=float("nan"), step=step, before=before, after=after, mahalanobis2=np.empty(0))
 
 
 class _Problem:

@@ -22,6 +22,7 @@ BETTER, AS_GOOD = 0.9, 1.1  # than the file as it is; as after the single cures
 _MIN_FACTOR, _MIN_SHIFT = 0.1, 0.05  # of K, of the focal length: below, it is a calibration error and no other image
 _MAX_STRIDE, _MOST_PAIRS = 10, 5000  # frames, and pairs of observations that are looked at
 _LONGEST = 5.0  # s, a step; more is another unit
+_LONGEST_BASELINE = 100.0  # m, likewise
 _TRIED = 3  # readings that are audited
 _NICE = np.array([1 / 4, 1 / 3, 1 / 2, 2 / 3, 3 / 4, 4 / 3, 3 / 2, 2, 3, 4])  # factors of image sizes
 
@@ -86,7 +87,7 @@ def explained(report: Report, judge: Callable[[Drive], Report]) -> Report:
 
 
 def certain(drive: Drive) -> Iterator[Finding]:
-    """What needs no comparison: a value that stands for "not seen", the unit of times, and times in float32."""
+    """What needs no comparison: a value that stands for "not seen", units of baseline and times, times in float32."""
     if len(drive.pixels):
         value, count = np.unique(drive.pixels[:, 0], return_counts=True)
         sentinel = float(value[np.argmax(count)])
@@ -98,6 +99,10 @@ def certain(drive: Drive) -> Iterator[Finding]:
                            Cure(f"observations of {sentinel:g} taken for not seen", False,
                                 lambda drive: drive.keep_observations(~(drive.pixels == sentinel).all(axis=1))),
                            f"write -1 where nothing is seen, not {sentinel:g}")
+    if (baseline := drive.camera.baseline) > _LONGEST_BASELINE:
+        yield _finding("baseline in mm", baseline, "m", f"the cameras would be {baseline:.0f} m apart: b is in mm",
+                       _camera("baseline read as mm", lambda camera: replace(camera, baseline=baseline / 1e3)),
+                       "divide it by 1000")
     if drive.n_frames < 3:
         return
     tau = float(np.median(drive.taus))

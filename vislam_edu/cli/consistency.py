@@ -31,6 +31,7 @@ def run(arguments) -> int:
 
     from .. import simulate
     from ..noise import Noise
+    from ..recordings import files
     from ..studies import consistency
 
     sensors = sigmas(arguments)
@@ -42,7 +43,7 @@ def run(arguments) -> int:
     except ValueError as error:
         raise OptionError(f"consistency: {error}") from None
     figures = consistency.summary(studies) | sensors
-    _write(arguments.out, figures)
+    files.write_text(arguments.out / "summary.json", json.dumps(figures, indent=2) + "\n")
     print(consistency.format_summary(figures))
     return 0
 
@@ -54,6 +55,7 @@ def run_regimes(arguments) -> int:
     """
     import joblib
 
+    from ..recordings import files
     from ..studies import regimes
 
     names = list(regimes.REGIMES) if arguments.regime == "all" else [arguments.regime]
@@ -68,13 +70,6 @@ def run_regimes(arguments) -> int:
                 found[name] = regimes.study(name, range(arguments.seeds), **options)
         except ValueError as error:
             raise OptionError(f"consistency --regime {name}: {error}") from None
-        _write(arguments.out, {"regimes": found})
+        files.write_text(arguments.out / "summary.json", json.dumps({"regimes": found}, indent=2) + "\n")
         print(regimes.format_study(name, found[name]))
     return 0
-
-
-def _write(folder, summary):
-    from ..recordings.files import replacing
-
-    with replacing(folder / "summary.json") as file:
-        file.write((json.dumps(summary, indent=2) + "\n").encode())

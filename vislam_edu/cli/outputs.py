@@ -20,24 +20,10 @@ PNG = style.PNG | {"pil_kwargs": {"compress_level": 3}}  # 2 % more bytes than 6
 
 
 def summary(result, smoothed=None, lens=None, warnings=()) -> dict:
-    """The numbers that sum a run up; keys name their units.
+    """The numbers that sum a run up; keys name their units, docs/commands.md says what each is.
 
-    Counts: frames, landmarks (in the recording), landmarks_used (that entered the joint filter),
-    measurements (compared with a prediction by the joint filter). rejected_share: of the measurements, kept
-    out by the gate.
-    filter_s: seconds the joint filter took. real_time_factor: seconds of driving per second of filtering.
-
-    end_sigma_m_without_calibration_error: m, root of the trace of the last position's covariance; with `--calibration`
-    also with that error. metre: by what the cameras' lengths were multiplied at the end.
-
-    With ground truth also nees_pose and inside_3_sigma, the mean over frames of the pose's NEES (6 is right) and the
-    share of frames in which an axis lies inside 3 sigma, of the axis where it is least; with `--calibration` both again
-    with that error in the covariance. Also position_rmse_m (the IMU's position, world = IMU frame at frame 0, no
-    alignment), ate_m (after SE(3) alignment) and KITTI drift, of the left camera as in the benchmark, NaN for drives
-    under 100 m; those of dead reckoning carry its name. With a batch estimate its seconds, iterations and the same
-    errors, under its name; `batch` says how it ended and what it claims, see `_ending`. Where pixels were
-    corrected, lens_px and lens_sigma_px: the numbers of these `LensErrors`. Last, as lists of sentences, changed
-    (what was done to the recording) and warnings (what speaks against the result, those given first).
+    result : `pipeline.Result`. smoothed : `pipeline.Smoothed` or None. lens : the `LensErrors` that corrected the
+    pixels, or None. warnings : sentences that come before those of the result.
     """
     drive, slam = result.drive, result.slam
     numbers = {
@@ -149,18 +135,7 @@ def _strict(value):
 
 
 def write(result, folder, smoothed=None, lens=None, warnings=()):
-    """Write all that `python -m vislam_edu run` promises into an empty folder. Returns the summary.
-
-    summary.json, null for NaN. kitti/trajectory.txt and tum/trajectory.txt, poses of the left camera (as
-    mounted, where the pixels were rectified) in the frame of the first one (KITTI's convention), and dead_reckoning.txt
-    beside them.
-    result.npz: poses of the IMU, covariances of right perturbations [position m, rotation rad] (pose_covariance:
-    without calibration error; calibration_covariance: that error alone, where it was asked for), and the landmarks (m,
-    world) that the filter used, with ids and covariances. fig1_... to fig7_... .png. smoothed : `pipeline.Smoothed` or
-    None; its poses and landmarks are then in result.npz too, and fig8_batch.png compares the paths. lens :
-    `LensErrors` that corrected the pixels, or None; it is written to lens.json. warnings : sentences that come before
-    those of the result.
-    """
+    """Write all that `run` leaves (docs/commands.md) into an empty folder; arguments and result as of `summary`."""
     folder, drive, slam = Path(folder), result.drive, result.slam
     numbers = summary(result, smoothed, lens, warnings)
     (folder / "summary.json").write_text(json.dumps(_strict(numbers), indent=2) + "\n", encoding="utf-8")

@@ -58,13 +58,6 @@ def add_arguments(parser):
     parser.add_argument("--quiet", action="store_true", help="no progress bar and no summary on the terminal")
 
 
-def noise_from(arguments, base):
-    """`base` with the values given on the command line in place of its own."""
-    import dataclasses
-
-    return dataclasses.replace(base, **sigmas(arguments))
-
-
 def prepare(arguments):
     """The drive to run, the noise to run it with, options of the joint filter, and warnings: as is, or after an audit.
 
@@ -106,7 +99,7 @@ def prepare(arguments):
                             ["nothing to cure"]), end="\n\n")
             if "metre" in options:
                 print(scale.EXPLAINED, end="\n\n")
-    return drive.subsample(arguments.every), noise_from(arguments, base), options, warnings
+    return drive.subsample(arguments.every), dataclasses.replace(base, **sigmas(arguments)), options, warnings
 
 
 def error_state_of(arguments):

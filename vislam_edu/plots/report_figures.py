@@ -89,10 +89,7 @@ def batch(result, world_T_imu):
     method = result.slam.method
     paths = {"dead_reckoning": result.dead_reckoning.world_T_imu, method: result.slam.trajectory.world_T_imu,
              "batch": world_T_imu}
-    view = [T[:, :3, 3] for T in paths.values()]
-    if result.drive.has_truth:
-        view.append(result.drive.true_world_T_imu[:, :3, 3])
-    figure, axes = drawing.new_map(drawing.view_around(*view))
+    figure, axes = drawing.new_map(_view(result.drive, *paths.values()))
     drawing.draw_truth(axes, result.drive)
     for name, poses in paths.items():
         drawing.draw_trajectory(axes, poses, name)
@@ -117,7 +114,7 @@ def _one_map(drive, belief, method, trajectory, path, title):
 
     method, path : keys of `style.COLOURS` for the map and for the path.
     """
-    view = _view(drive, trajectory)
+    view = _view(drive, trajectory.world_T_imu)
     figure, axes = drawing.new_map(view)
     _draw_landmarks(axes, view, belief, method)
     _draw_some_ellipses(axes, view, belief, method)
@@ -131,7 +128,7 @@ def _several_maps(drive, maps, paths, title, moved):
 
     moved : two keys of `maps`; a magnified inset has an arrow from each landmark of the first to that of the second.
     """
-    view = _view(drive, *paths.values())
+    view = _view(drive, *(trajectory.world_T_imu for trajectory in paths.values()))
     figure, axes = drawing.new_map(view)
     for size, (method, belief) in zip((5, 3, 2.5), maps.items()):
         _draw_landmarks(axes, view, belief, method, markersize=size)
@@ -211,12 +208,10 @@ def _some_of(landmarks):
     return every, f"one landmark in {every}" if every > 1 else "each landmark"
 
 
-def _view(drive, *trajectories):
-    """The map around these paths and the true one."""
-    poses = [t.world_T_imu for t in trajectories]
-    if drive.has_truth:
-        poses.append(drive.true_world_T_imu)
-    return drawing.view_around(*[T[:, :3, 3] for T in poses], margin=MARGIN)
+def _view(drive, *paths):
+    """The map around these paths (T, 4, 4) and the true one."""
+    truth = [drive.true_world_T_imu] if drive.has_truth else []
+    return drawing.view_around(*[T[:, :3, 3] for T in (*paths, *truth)], margin=MARGIN)
 
 
 def _final_error(drive, trajectory):

@@ -24,19 +24,12 @@ _LARGEST_TEXT = 64 << 20  # bytes of a ground truth file: a hundred thousand pos
 def load(name, extrinsics: str | None = None) -> Drive:
     """Read a recording, given its path, or the name of a file of `find` (with or without .npz or .npy).
 
-    Layouts, told apart by their keys:
-    - npz with `time_stamps, features, linear_velocity, angular_velocity, K, b, imu_T_cam` (03.npz, 10.npz),
-    - the same with `rotational_velocity` and `cam_T_imu` (0022.npz, 0027.npz),
-    - npy that is a pickled dictionary with `timestamps, features, v_t, w_t, K_l, K_r, extL_T_imu, extR_T_imu`
-      (dataset00.npy),
-    - what `save` writes.
-
-    Extrinsics are taken as their key says: a_T_b maps b coordinates to a coordinates. Whether the numbers
-    agree is for `audit` to find out. Rotations with only a few digits are projected to SO(3). Only `extL_T_imu` and
-    `extR_T_imu` are read in four ways, and the numbers decide (`extrinsics.mounted`), unless `extrinsics` names one:
-    "imu_T_regular", "optical_T_imu", "imu_T_optical" or "regular_T_imu" (regular: x forward, y left, z up). Pixels of
-    cameras that are not parallel, or have two K, are rectified; the drive's `left_T_cam` and `history` then say so.
-    A landmark that comes back after a gap becomes a new one: the filter drops what is out of view.
+    Layouts are those of data/README.md, told apart by their keys, and what `save` writes. Extrinsics are taken as their
+    key says: a_T_b maps b coordinates to a coordinates. Only `extL_T_imu` and `extR_T_imu` are read in four ways, and
+    the numbers decide (`extrinsics.mounted`), unless `extrinsics` names one: "imu_T_regular", "optical_T_imu",
+    "imu_T_optical" or "regular_T_imu" (regular: x forward, y left, z up). Rotations with only a few digits are
+    projected to SO(3); pixels of cameras that are not parallel, or have two K, are rectified; a landmark that comes
+    back after a gap becomes a new one. Whether the numbers agree is for `audit` to find out.
     Raises DriveError (a ValueError) naming the file, the field and what is wrong with it.
     """
     path = _resolved(name)

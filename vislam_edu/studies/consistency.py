@@ -9,15 +9,7 @@ the same filters run over each; and the squared errors are held against what the
 
 With `out`, every drive leaves a file, and a study that was interrupted goes on where it stopped. The
 numbers depend on the seeds alone, not on the workers: every random draw comes from the seed, and
-`window_slam.run` keeps the linear algebra to one thread. Two lines put a study on two cores, or
-on a cluster:
-
-    with joblib.parallel_config(n_jobs=2):
-        monte_carlo(...)
-
-    client = dask.distributed.Client("scheduler:8786")
-    with joblib.parallel_config(backend="dask"):
-        monte_carlo(...)
+`window_slam.run` keeps the linear algebra to one thread. docs/commands.md says how to use several cores, or a cluster.
 """
 
 from dataclasses import dataclass, field

@@ -8,6 +8,7 @@ The front end is `explorer.js`, one ES module without dependencies, loaded by an
 
 import base64
 import json
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from html import escape
@@ -137,8 +138,14 @@ class Explorer(anywidget.AnyWidget):
 
     def save_html(self, path: str | Path, title: str | None = None) -> Path:
         """Write the explorer as one HTML file that works without kernel and network; returns its path."""
+        header = {**self.header, "start": self.half_step, "landmark": self.landmark, "show": self.show}
+        # "</script" cannot occur in base64; in the texts of the header its "<" is written as an escape.
+        page = Template(PAGE.read_text(encoding="utf-8")).substitute(
+            title=escape(title or " and ".join(h.name for h in self.histories)),
+            header=json.dumps(header).replace("<", "\\u003c"), data=base64.b64encode(self.data).decode(),
+            module=MODULE.read_text(encoding="utf-8"))
         path = Path(path)
-        path.write_text(explorer_page(self, title or " and ".join(h.name for h in self.histories)), encoding="utf-8")
+        path.write_text(page, encoding="utf-8")
         return path
 
     def still(self, i: int | None = None, show: int | None = None) -> Still:
@@ -159,15 +166,6 @@ class Explorer(anywidget.AnyWidget):
         return {**data, "image/png": still["image/png"]}, {**metadata, **its_metadata}
 
 
-def explorer_page(explorer: Explorer, title: str) -> str:
-    """The explorer as an HTML page, in the state that it is in, with everything it needs inside."""
-    header = {**explorer.header, "start": explorer.half_step, "landmark": explorer.landmark, "show": explorer.show}
-    # "</script" cannot occur in base64; in the texts of the header its "<" is written as an escape.
-    page, module = Template(PAGE.read_text(encoding="utf-8")), MODULE.read_text(encoding="utf-8")
-    return page.substitute(title=escape(title), header=json.dumps(header).replace("<", "\\u003c"),
-                           data=base64.b64encode(explorer.data).decode(), module=module)
-
-
 def _histories(steps, drive, error_state, world_T_imu, name) -> list[History]:
     """One history, or one for each entry of a dict."""
     runs = steps if isinstance(steps, Mapping) else {name: steps}
@@ -182,9 +180,6 @@ def _histories(steps, drive, error_state, world_T_imu, name) -> list[History]:
 
 def longest_seen(one: History) -> int:
     """The id that is in most snapshots, or in most sights where no landmark is estimated; -1 for none."""
-    counts: dict[int, int] = {}
-    for snapshot in one.snapshots:
-        ids = snapshot.ids if len(snapshot.ids) or snapshot.sight is None else snapshot.sight.ids
-        for landmark in ids.tolist():
-            counts[landmark] = counts.get(landmark, 0) + 1
+    held = (s.ids if len(s.ids) or s.sight is None else s.sight.ids for s in one.snapshots)
+    counts = Counter(landmark for ids in held for landmark in ids.tolist())
     return max(counts, key=lambda key: (counts[key], -key), default=-1)

@@ -29,8 +29,6 @@ def twists(rng):
         yield "random", (rng.normal(size=6),)
 
 
-# --- hat --------------------------------------------------------------------------------------------------
-
 def vectors(rng):
     yield "x axis", (np.array([1.0, 0.0, 0.0]),)
     yield "[1, 2, 3]", (np.array([1.0, 2.0, 3.0]),)
@@ -80,8 +78,6 @@ se3_hat.slip("a pose's last row", "The last row is zero, not [0, 0, 0, 1]: this 
 se3_hat.slip("omega^ transposed", "The rotation block is omega^, not its transpose: check your so3_hat.",
     ("so3_hat(omega)", "so3_hat(omega).T"))
 
-
-# --- exp --------------------------------------------------------------------------------------------------
 
 @exercise(chapter=1, cases=rotation_vectors, shows=[se3.so3_exp, se3._angle_functions], hints=[
     "Rodrigues' formula, with S = so3_hat(phi) and t the length of phi: I + a S + b S S.",
@@ -159,8 +155,6 @@ se3_exp.slip("first order only", "I + xi^ is only the beginning of the series; i
 se3_exp.slip("series cut off", """I + X + X X / 2 with X = xi^ is good for small angles only: its upper left block is no
     rotation.""", ("R = se3.so3_exp(omega)", "R = np.eye(3) + S + S @ S / 2"), ("if t > 1e-6:", "if False:"))
 
-
-# --- Adjoint and Jacobian ---------------------------------------------------------------------------------
 
 def poses(rng):
     yield "the identity", (np.eye(4),)
@@ -247,8 +241,6 @@ left_jacobian.slip("series cut off", """Two or three terms are not enough for a 
 left_jacobian.slip("divided by n + 1, not its factorial", """The term X^n is divided by (n + 1)!: each term by n + 1
     more than the one before it.""", ("J = J + term", "J = J + term / (n + 1)"), ("term @ X / (n + 1)", "term @ X"))
 
-
-# --- motion -----------------------------------------------------------------------------------------------
 
 def drives(rng):
     yield "straight on", (np.eye(4), np.tile([10.0, 0, 0, 0, 0, 0], (3, 1)), np.full(3, 0.1))

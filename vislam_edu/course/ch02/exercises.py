@@ -7,8 +7,6 @@ from ...stereo import StereoCamera
 from ..checks.exercise import exercise
 from ..checks.inputs import BASELINE, K, random_calibration, random_camera, random_points_cam
 
-# --- bearings ---------------------------------------------------------------------------------------------
-
 
 def pixels_of_one_camera(rng):
     yield "principal point", (K.copy(), np.array([600.0, 180.0]))
@@ -94,8 +92,6 @@ triangulate_bearings.slip("expressed in camera 2", """This is the point in the f
 triangulate_bearings.slip("first depth on the second bearing", """l1 is the depth along z1. Times z2 it is no point that
     anyone sees.""", ("* z1", "* z2"))
 
-
-# --- disparity --------------------------------------------------------------------------------------------
 
 def stereo_pixels(rng):
     for _ in range(2):

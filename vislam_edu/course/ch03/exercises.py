@@ -7,8 +7,6 @@ from ...stereo import StereoCamera
 from ..checks.exercise import exercise
 from ..checks.inputs import CAMERA, random_camera, random_covariance, random_landmarks, random_points_cam, random_pose
 
-# --- projection -------------------------------------------------------------------------------------------
-
 
 def points(rng):
     yield "one point, 10 m ahead", (CAMERA, np.array([[0.0, 0.0, 10.0]]))
@@ -138,8 +136,6 @@ landmark_jacobian.slip("R^T and the extrinsics exchanged", """From the world to 
 landmark_jacobian.slip("projection alone", """This is the derivative by the point in the camera frame. The landmark is
     in the world: cam_T_imu and R^T follow.""", ("J @ camera.cam_T_imu[:3, :3] @ R.T", "J"))
 
-
-# --- Kalman update ----------------------------------------------------------------------------------------
 
 def updates(rng):
     for n, m in [(1, 1), (3, 2), (3, 2), (6, 4), (6, 4)]:

@@ -6,8 +6,6 @@ from ... import ekf_slam, kalman, se3
 from ..checks.exercise import exercise
 from ..checks.inputs import random_covariance, random_pose
 
-# --- prediction -------------------------------------------------------------------------------------------
-
 
 def joint_predictions(rng):
     yield "no landmark yet", (random_covariance(rng, 6), se3.adjoint(random_pose(rng)), random_covariance(rng, 6))
@@ -61,8 +59,6 @@ predict_joint.slip("pose taken to come first", """The state is ordered landmarks
 predict_joint.slip("noise carried along by F", """W is expressed in the body frame at the end of the step already: F
     P_RR F^T + W.""", ("F @ covariance[n:, n:] @ F.T + W", "F @ (covariance[n:, n:] + W) @ F.T"))
 
-
-# --- a new landmark ---------------------------------------------------------------------------------------
 
 def births(rng):
     yield "the first landmark", (random_covariance(rng, 6), random_pose(rng), np.array([8.0, 1.0, 0.5]),
@@ -129,8 +125,6 @@ new_landmark.slip("turned the other way", "From the IMU into the world goes R, s
 new_landmark.slip("landmark in the world in place of s", """G = R [I, -s^] with s in the IMU frame: the pose turns about
     the IMU, not about the world's origin.""", ("so3_hat(point_imu)", "so3_hat(R @ point_imu + p)"))
 
-
-# --- update -----------------------------------------------------------------------------------------------
 
 def jacobians(rng):
     yield "one landmark", (rng.normal(size=(1, 4, 3)), rng.normal(size=(1, 4, 6)), np.array([0]), 1)

@@ -225,11 +225,11 @@ def _of_statement(node) -> Iterator[_Found]:
         yield 1, "without the step that adds {}", ast.Pass(), (node.value,)
         for words, sign in (("subtracted", ast.Sub()), ("multiplied", ast.Mult())):
             yield 0, f"with {{}} {words} in place of added", ast.AugAssign(node.target, sign, node.value), (node.value,)
-        yield 3, "with {} stored in place of added (= for +=)", _statement(text.replace("+=", "=")), (node.value,)
-    if isinstance(node, ast.Assign) and isinstance(node.targets[0], ast.Subscript):
-        target, value = text.split(" = ")
+        yield 3, "with {} stored in place of added (= for +=)", ast.Assign([node.target], node.value), (node.value,)
+    if isinstance(node, ast.Assign) and len(node.targets) == 1 and isinstance(node.targets[0], ast.Subscript):
         yield 1, "with {} never stored in its place", ast.Pass(), (node.value,)
-        yield 3, "with {} added in place of stored (+= for =)", _statement(f"{target} += {value}"), (node.value,)
+        yield 3, "with {} added in place of stored (+= for =)", ast.AugAssign(
+            node.targets[0], ast.Add(), node.value), (node.value,)
     if isinstance(node, ast.Expr) and ".append(" in text:
         yield 3, "with nothing appended", ast.Pass(), ()
     if isinstance(node, ast.For):
@@ -387,7 +387,3 @@ def _of_subscript(node) -> Iterator[_Found]:
 
 def _expression(text: str) -> ast.expr:
     return ast.parse(text, mode="eval").body
-
-
-def _statement(text: str) -> ast.stmt:
-    return ast.parse(text).body[0]
