@@ -7,11 +7,11 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 from . import museum, right_parts, slips, surroundings
-from .comparing import argument, differs
+from .comparing import argument, differs, same
 from .exercise import Exercise, short
-from .explain import VAGUE, explain, same
+from .explain import VAGUE, explain
 from .picture import Picture, picture_of
-from .running import LIMIT, Outcome, answers, arrays, copied, error_message, written
+from .running import LIMIT, Outcome, answers, copied, error_message, read, written
 
 RIGHT, NOT_WRITTEN, WRONG = "right", "not written yet", "wrong"
 
@@ -83,7 +83,7 @@ def attempt(exercise: Exercise, function, limit: float = LIMIT) -> Attempt:
 
 
 def _expected(exercise, cases) -> list:
-    return [arrays(exercise.expected(*map(copied, arguments)), exercise.outputs)[0] for _, arguments in cases]
+    return [read(exercise.expected(*map(copied, arguments)), exercise.outputs)[0] for _, arguments in cases]
 
 
 def concluded(exercise: Exercise, made: Attempt, limit: float = LIMIT) -> Verdict:
