@@ -22,7 +22,7 @@ def recognise(exercise, cases, outcomes, expected):
     wrong = [i for i, (outcome, should) in enumerate(zip(outcomes, expected))
              if outcome.values is None or differs(exercise, outcome, should)]
     pieces, best, most = [], None, 0
-    for mistake in exercise.mistakes:
+    for mistake in [*exercise.mistakes, *exercise.inherited]:
         with np.errstate(all="ignore"):
             same = [_same(exercise, outcome, outcome_of(exercise, mistake.function, arguments))
                     for outcome, (_, arguments) in zip(outcomes, cases)]

@@ -104,9 +104,12 @@ def _wrong(exercise, cases, outcomes, expected, reasons, clues) -> Verdict:
     first = next(i for i, reason in enumerate(reasons) if reason)
     label, arguments = cases[first]
     sames = [same(exercise, outcome, should) for outcome, should in zip(outcomes, expected)]
-    found = _causes(exercise, cases, outcomes, expected, sames, *clues)
+    reason, look = reasons[first], ""
+    if exercise.first and outcomes[first].values is not None and not outcomes[first].changed:
+        reason, look = exercise.first(arguments, outcomes[first].values, expected[first])
+    found = _causes(exercise, cases, outcomes, expected, sames, *clues, look)
     lines = [f"{exercise.name}: wrong, on input {first + 1} of {len(cases)} ({label})",
-             *(argument(*pair) for pair in zip(exercise.arguments, arguments)), reasons[first], *found.said,
+             *(argument(*pair) for pair in zip(exercise.arguments, arguments)), reason, *found.said,
              _remarks(outcomes).strip(), f"To try this input: {exercise.name}(*check.{exercise.name}.failing)"]
     more = f"In a plain answer these are the lines (- as in yours, + right):\n{textwrap.indent(found.lines, '  ')}"
     return Verdict(exercise.name, WRONG, "\n".join(filter(None, lines)), found.mistake,
@@ -124,7 +127,7 @@ class _Causes(NamedTuple):
     lines: str = ""
 
 
-def _causes(exercise, cases, outcomes, expected, sames, slip, unused) -> _Causes:
+def _causes(exercise, cases, outcomes, expected, sames, slip, unused, look) -> _Causes:
     if slip:
         return _Causes([slip], slip)
     pieces, guess = museum.recognise(exercise, cases, outcomes, expected)
@@ -132,7 +135,7 @@ def _causes(exercise, cases, outcomes, expected, sames, slip, unused) -> _Causes
     if slip and not pieces:
         return _Causes([slip, unused], " ".join(filter(None, [slip, unused])))
     explanations = explain(exercise, cases, outcomes, expected, simple=bool(pieces))
-    where, looks = right_parts.remarks(exercise, cases, outcomes, expected, sames)
+    where, looks = ([look], []) if look else right_parts.remarks(exercise, cases, outcomes, expected, sames)
     said = [f"Most likely: {piece.name}. {piece.hint}" for piece in pieces]
     if pieces and (others := [words for one in explanations[:1] for words in one.words if not VAGUE.search(words)]):
         said.append(f"The same numbers come out {', or '.join(others[:2])}.")
