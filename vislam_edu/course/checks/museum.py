@@ -22,14 +22,19 @@ def recognise(exercise, cases, outcomes, expected):
     wrong = [i for i, (outcome, should) in enumerate(zip(outcomes, expected))
              if outcome.values is None or differs(exercise, outcome, should)]
     pieces, best, most = [], None, 0
-    for mistake in [*exercise.mistakes, *exercise.inherited]:
+
+    def fits(mistake, i) -> bool:
         with np.errstate(all="ignore"):
-            same = [_same(exercise, outcome, outcome_of(exercise, mistake.function, arguments))
-                    for outcome, (_, arguments) in zip(outcomes, cases)]
+            return _same(exercise, outcomes[i], outcome_of(exercise, mistake.function, cases[i][1]))
+
+    for mistake in [*exercise.mistakes, *exercise.inherited]:
+        if not fits(mistake, wrong[0]):
+            continue
+        same = [fits(mistake, i) for i in range(len(outcomes))]
         explained = sum(same[i] for i in wrong)
-        if wrong and all(same):
+        if all(same):
             pieces.append(mistake)
-        elif explained > most and same[wrong[0]] and 2 * explained >= len(wrong):
+        elif explained > most and 2 * explained >= len(wrong):
             best, most = mistake, explained
     return pieces, None if pieces else best
 
