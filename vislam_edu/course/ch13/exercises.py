@@ -12,9 +12,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import block_diag
 
-from ... import ekf_slam, kalman, se3, stereo, window_slam
+from ... import ekf_slam, se3, stereo, window_slam
 from ...noise import Noise
 from ...simulate import first_steps
 from ..checks import inputs
@@ -74,14 +73,6 @@ def frames(rng):
 # --- predict ----------------------------------------------------------------------------------------------
 
 
-def _predicted(T, P, twist, tau, noise, *, mean=None, F=None, W=None):
-    step = se3.exp(tau * twist)
-    F = se3.adjoint(se3.inverse(step)) if F is None else F
-    B = tau * se3.right_jacobian(tau * twist)
-    new = ekf_slam.predict_joint(P, F, B @ noise.twist_covariance @ B.T if W is None else W)
-    return T @ step if mean is None else mean, new
-
-
 @exercise(chapter=13, cases=predictions, outputs=("world_T_imu", "covariance"),
           shows=[ekf_slam.predict, ekf_slam.predict_joint], hints=[
     "The pose moves to T exp(tau u^). Its error is carried along by F = Ad(exp(-tau u^)); landmarks stand still.",
@@ -109,55 +100,23 @@ def filter_predict(world_T_imu, covariance, twist, tau, noise):
 filter_predict.slip("cross-covariances not propagated", """Only the pose block was carried along: P_LR becomes P_LR
 F^T, P_RL its transpose.""", ("P[:n, n:] = covariance[:n, n:] @ F.T\n", "\n"),
                     ("P[n:, :n] = F @ covariance[n:, :n]", ""))
-
-
 filter_predict.slip("not scaled by tau", "W = tau^2 Q: the twist's variance is not that of one step.",
                     ("tau * se3.right_jacobian(tau * twist)", "se3.right_jacobian(tau * twist)"))
-
-
 filter_predict.slip("sigma not squared", "Q holds variances, the squares of the sigmas: noise.twist_covariance.",
                     ("noise.twist_covariance", "np.sqrt(noise.twist_covariance)"))
-
-
 filter_predict.slip("right Jacobian left out", """W = tau^2 Q is the report's form. An error of the sample moves the
 pose by tau J_r(tau u): write B Q B^T.""", ("se3.right_jacobian(tau * twist)", "np.eye(6)"))
-
-
 filter_predict.slip("transition of the other direction", "F = Ad(exp(-tau u^)), with the minus sign.", ("-tau", "tau"))
-
-
 filter_predict.slip("world and body mixed", "The twist is measured in the body: its motion stands on the right.",
                     ("world_T_imu @ step", "step @ world_T_imu"))
-
-
-@filter_predict.mistake("rotation and translation swapped", "A twist is [v, omega], translation first.")
-def _(world_T_imu, covariance, twist, tau, noise):
-    return _predicted(world_T_imu, covariance, np.roll(twist, 3), tau, noise)
-
-
-@filter_predict.mistake("degrees", "The gyro gives radians per second already.")
-def _(world_T_imu, covariance, twist, tau, noise):
-    return _predicted(world_T_imu, covariance, np.append(twist[:3], np.radians(twist[3:])), tau, noise)
+_STEP = "step = se3.exp(tau * twist)"
+filter_predict.slip("rotation and translation swapped", "A twist is [v, omega], translation first.",
+                    (_STEP, f"twist = np.roll(twist, 3)\n    {_STEP}"))
+filter_predict.slip("degrees", "The gyro gives radians per second already.",
+                    (_STEP, f"twist = np.append(twist[:3], np.radians(twist[3:]))\n    {_STEP}"))
 
 
 # --- update -----------------------------------------------------------------------------------------------
-
-
-def _H(T, landmarks, rows, camera, pose=1.0, frame=None):
-    seen = landmarks[rows]
-    H_pose = camera.pose_jacobian(T, seen) if frame is None else frame(camera, T, seen)
-    return ekf_slam.joint_jacobian(camera.landmark_jacobian(T, seen), pose * H_pose, rows, len(landmarks))
-
-
-def _updated(T, landmarks, P, rows, pixels, camera, noise, H=None, retract=None):
-    H = _H(T, landmarks, rows, camera) if H is None else H
-    V = np.kron(np.eye(len(rows)), noise.pixel_covariance)
-    residual = (pixels - camera.observe(T, landmarks[rows])[0]).ravel()
-    if retract is None:
-        return ekf_slam.joint_update(T, landmarks, P, H, residual, V)
-    delta, P = kalman.update(P, H, V, residual)
-    n = landmarks.size
-    return *retract(T, landmarks, delta[:n], delta[n:]), P
 
 
 @exercise(chapter=13, cases=updates, outputs=("world_T_imu", "landmarks", "covariance"),
@@ -192,80 +151,30 @@ def filter_update(world_T_imu, landmarks, covariance, rows, pixels, camera, nois
 
 filter_update.slip("pose sign flipped", "The pose part of H is -J [I, -s^]: the observation model holds T^-1.",
     ("camera.pose_jacobian(world_T_imu, landmarks[j])", "-camera.pose_jacobian(world_T_imu, landmarks[j])"))
-
-
-def _odot_without_extrinsics(camera, T, m):
-    q = camera.to_cam(T, m)
-    return -camera.projection_jacobian(q) @ se3.odot(se3.transform(se3.inverse(T), m))
-
-
-@filter_update.mistake("extrinsics forgotten", "Between the camera and the body stands cam_T_imu, in H as well.")
-def _(world_T_imu, landmarks, covariance, rows, pixels, camera, noise):
-    return _updated(world_T_imu, landmarks, covariance, rows, pixels, camera, noise,
-                    H=_H(world_T_imu, landmarks, rows, camera, frame=_odot_without_extrinsics))
-
-
-@filter_update.mistake("1/q3 forgotten", "dpi/dq has the factor 1 / q_3, the depth.")
-def _(world_T_imu, landmarks, covariance, rows, pixels, camera, noise):
-    depth = np.repeat(camera.to_cam(world_T_imu, landmarks[rows])[:, 2], 4)[:, None]
-    return _updated(world_T_imu, landmarks, covariance, rows, pixels, camera, noise,
-                    H=depth * _H(world_T_imu, landmarks, rows, camera))
-
-
+filter_update.slip("extrinsics forgotten", "Between the camera and the body stands cam_T_imu, in H as well.",
+                   ("camera.pose_jacobian(world_T_imu, landmarks[j])", """(
+            -camera.projection_jacobian(camera.to_cam(world_T_imu, landmarks[j]))
+            @ se3.odot(se3.transform(se3.inverse(world_T_imu), landmarks[j])))"""))
+filter_update.slip("1/q3 forgotten", "dpi/dq has the factor 1 / q_3, the depth.",
+                   ("        V[k, k]", "        H[k] *= camera.to_cam(world_T_imu, landmarks[j])[2]\n        V[k, k]"))
 filter_update.slip("world and body mixed", "The correction is expressed in the body: T exp(delta^).",
                    ("world_T_imu @ se3.exp(delta[n:])", "se3.exp(delta[n:]) @ world_T_imu"))
-
-
 filter_update.slip("a copy updated", "landmarks[rows][:] += ... changes a temporary array: the landmarks stayed.",
                    ("landmarks + delta[:n].reshape(-1, 3)", "landmarks"))
-
-
-@filter_update.mistake("only the seen landmarks corrected", """The others are correlated with the pose and move too:
-this is what the joint covariance is for.""")
-def _(world_T_imu, landmarks, covariance, rows, pixels, camera, noise):
-    def retract(T, m, d, e):
-        moved = m.copy()
-        moved[rows] += d.reshape(-1, 3)[rows]
-        return T @ se3.exp(e), moved
-    return _updated(world_T_imu, landmarks, covariance, rows, pixels, camera, noise, retract=retract)
-
-
+filter_update.slip("only the seen landmarks corrected", """The others are correlated with the pose and move too:
+this is what the joint covariance is for.""",
+                   ("landmarks + delta", "landmarks + np.isin(np.arange(len(landmarks)), rows)[:, None] * delta"))
 filter_update.slip("orders mixed", "delta holds x, y, z of one landmark after the other: reshape(n, 3).",
                    ("delta[:n].reshape(-1, 3)", "delta[:n].reshape(3, -1).T"))
-
-
-@filter_update.mistake("cross terms never written", """After the update the landmarks and the pose are correlated: the
-whole of (I - K H) P is kept.""")
-def _(world_T_imu, landmarks, covariance, rows, pixels, camera, noise):
-    T, m, P = _updated(world_T_imu, landmarks, covariance, rows, pixels, camera, noise)
-    n = len(m)
-    return T, m, block_diag(*(P[3 * i:3 * i + 3, 3 * i:3 * i + 3] for i in range(n)), P[3 * n:, 3 * n:])
-
-
-@filter_update.mistake("columns of another landmark", """Measurement i shows landmark rows[i]: its block stands in the
-columns 3 rows[i] to 3 rows[i] + 3 of H, not 3 i.""")
-def _(world_T_imu, landmarks, covariance, rows, pixels, camera, noise):
-    seen = landmarks[rows]
-    H = ekf_slam.joint_jacobian(camera.landmark_jacobian(world_T_imu, seen), camera.pose_jacobian(world_T_imu, seen),
-                                np.arange(len(rows)), len(landmarks))
-    return _updated(world_T_imu, landmarks, covariance, rows, pixels, camera, noise, H=H)
+filter_update.slip("cross terms never written", """After the update the landmarks and the pose are correlated: the
+whole of (I - K H) P is kept.""",
+                   ("    return", "    block = np.append(np.arange(n) // 3, np.full(6, n))\n"
+                                  "    P = P * (block[:, None] == block)\n    return"))
+filter_update.slip("columns of another landmark", """Measurement i shows landmark rows[i]: its block stands in the
+columns 3 rows[i] to 3 rows[i] + 3 of H, not 3 i.""", ("3 * j:3 * j + 3", "3 * i:3 * i + 3"))
 
 
 # --- birth ------------------------------------------------------------------------------------------------
-
-
-def _born(T, landmarks, P, pixels, camera, noise, point=None, cross=True, C=None):
-    cam = camera.triangulate(pixels)[0] if point is None else point
-    R = camera.imu_T_cam[:3, :3]
-    C = R @ camera.triangulation_covariance(cam, noise.sigma_px) @ R.T if C is None else C
-    landmark, new = ekf_slam.new_landmark(P, T, se3.transform(camera.imu_T_cam, cam), C)
-    n = landmarks.size
-    if not cross:
-        own = slice(n, n + 3)
-        block = new[own, own].copy()
-        new[own], new[:, own] = 0, 0
-        new[own, own] = block
-    return np.vstack([landmarks, landmark]), new
 
 
 @exercise(chapter=13, cases=births, outputs=("landmarks", "covariance"), shows=[ekf_slam.new_landmark], hints=[
@@ -301,45 +210,19 @@ filter_birth.slip("no correlation with the pose", """The new landmark inherits t
 terms are G P[-6:], not zero.""", ("cross = G", "cross = 0 * G"))
 
 
-@filter_birth.mistake("pixels used as bearings", "The bearing is K^-1 [u, v, 1], not [u, v, 1].")
-def _(world_T_imu, landmarks, covariance, pixels, camera, noise):
-    point = camera.triangulate(pixels)[0]
-    return _born(world_T_imu, landmarks, covariance, pixels, camera, noise,
-                 point=point[2] * np.array([pixels[0], pixels[1], 1.0]))
-
-
-@filter_birth.mistake("extrinsics forgotten", "The triangulated point is in the camera frame: imu_T_cam comes first.")
-def _(world_T_imu, landmarks, covariance, pixels, camera, noise):
-    point = camera.triangulate(pixels)[0]
-    C = camera.triangulation_covariance(point, noise.sigma_px)
-    landmark, P = ekf_slam.new_landmark(covariance, world_T_imu, point, C)
-    return np.vstack([landmarks, landmark]), P
-
-
-@filter_birth.mistake("covariance not turned", """`triangulation_covariance` is in the camera frame. C belongs to s, in
-the IMU frame: turn it by the rotation of imu_T_cam on both sides.""")
-def _(world_T_imu, landmarks, covariance, pixels, camera, noise):
-    C = camera.triangulation_covariance(camera.triangulate(pixels)[0], noise.sigma_px)
-    return _born(world_T_imu, landmarks, covariance, pixels, camera, noise, C=C)
-
-
-@filter_birth.mistake("orders mixed", """The new landmark is the last of the landmarks, so its rows and columns stand
-before those of the pose.""")
-def _(world_T_imu, landmarks, covariance, pixels, camera, noise):
-    landmarks, P = _born(world_T_imu, landmarks, covariance, pixels, camera, noise)
-    n = landmarks.size
-    order = np.r_[:n - 3, n:n + 6, n - 3:n]
-    return landmarks, P[np.ix_(order, order)]
-
-
-@filter_birth.mistake("prior 2 I", """The report's 2 I says neither how well the point was triangulated nor how well the
-pose is known.""")
-def _(world_T_imu, landmarks, covariance, pixels, camera, noise):
-    n = landmarks.size
-    point = se3.transform(world_T_imu @ camera.imu_T_cam, camera.triangulate(pixels)[0])
-    P = np.insert(np.insert(covariance, 3 * [n], 0, axis=0), 3 * [n], 0, axis=1)
-    P[n:n + 3, n:n + 3] = noise.landmark_prior * np.eye(3)
-    return np.vstack([landmarks, point]), P
+filter_birth.slip("pixels used as bearings", "The bearing is K^-1 [u, v, 1], not [u, v, 1].",
+                  ("triangulate(pixels)[0]", "triangulate(pixels)[0][2] * np.array([pixels[0], pixels[1], 1.0])"))
+filter_birth.slip("extrinsics forgotten", "The triangulated point is in the camera frame: imu_T_cam comes first.",
+                  ("se3.transform(camera.imu_T_cam, q)", "q"), ("R_cam @ C @ R_cam.T", "C"))
+filter_birth.slip("covariance not turned", """`triangulation_covariance` is in the camera frame. C belongs to s, in
+the IMU frame: turn it by the rotation of imu_T_cam on both sides.""", ("R_cam @ C @ R_cam.T", "C"))
+filter_birth.slip("orders mixed", """The new landmark is the last of the landmarks, so its rows and columns stand
+before those of the pose.""", ("    return", """    order = np.r_[:n, n + 3:n + 9, n:n + 3]
+    P = P[np.ix_(order, order)]
+    return"""))
+filter_birth.slip("prior 2 I", """The report's 2 I says neither how well the point was triangulated nor how well the
+pose is known.""", ("cross = G", "cross = 0 * G"), ("G @ covariance[n:, n:] @ G.T + R @ R_cam @ C @ R_cam.T @ R.T",
+                                                    "noise.landmark_prior * np.eye(3)"))
 
 
 # --- one frame --------------------------------------------------------------------------------------------
@@ -424,7 +307,7 @@ filter_frame.slip("ids sorted without their landmarks", """An id stands where it
 
 
 def renumbered(drive):
-    """The drive with its landmarks numbered from the last to the first: the ids of a frame do not follow the state's."""
+    """The drive with its landmarks numbered from last to first: the order of a frame is not that of the state."""
     order = np.concatenate([np.arange(*span)[::-1] for span in itertools.pairwise(drive.frame_start)])
     return drive.replace(landmark=drive.n_landmarks - 1 - drive.landmark[order], pixels=drive.pixels[order],
                          truth_landmarks=drive.truth_landmarks[::-1])
@@ -530,7 +413,8 @@ def _look(arguments, k, part, mine, right, before) -> str:
     T, P = filter_predict(before[3], before[1], drive.step_twists[k - 1], drive.taus[k - 1], noise)
     stay = np.isin(before[0], seen)
     index = np.append(np.repeat(stay, 3), np.ones(6, bool))
-    H = _H(T, before[2][stay], np.arange(stay.sum()), drive.camera)
+    m, rows = before[2][stay], np.arange(stay.sum())
+    H = ekf_slam.joint_jacobian(drive.camera.landmark_jacobian(T, m), drive.camera.pose_jacobian(T, m), rows, len(m))
     information = H.T @ np.kron(np.eye(stay.sum()), np.linalg.inv(noise.pixel_covariance)) @ H
     with contextlib.suppress(np.linalg.LinAlgError):
         # What the update has started from, if it is right. A prediction leaves the block of the landmarks as it is.

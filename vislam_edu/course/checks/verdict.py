@@ -107,7 +107,7 @@ def _wrong(exercise, cases, outcomes, expected, reasons, clues) -> Verdict:
     reason, look = reasons[first], ""
     if exercise.first and outcomes[first].values is not None and not outcomes[first].changed:
         reason, look = exercise.first(arguments, outcomes[first].values, expected[first])
-    found = _causes(exercise, cases, outcomes, expected, sames, *clues, look)
+    found = _causes(exercise, cases, outcomes, expected, sames, *clues, look=look)
     lines = [f"{exercise.name}: wrong, on input {first + 1} of {len(cases)} ({label})",
              *(argument(*pair) for pair in zip(exercise.arguments, arguments)), reason, *found.said,
              _remarks(outcomes).strip(), f"To try this input: {exercise.name}(*check.{exercise.name}.failing)"]
