@@ -134,7 +134,7 @@ def _causes(exercise, cases, outcomes, expected, sames, slip, unused, look) -> _
     slip = slips.unmoved(exercise, outcomes, expected, sames) or slips.cut(exercise, outcomes, expected, sames)
     if slip and not pieces:
         return _Causes([slip, unused], " ".join(filter(None, [slip, unused])))
-    explanations = explain(exercise, cases, outcomes, expected, simple=bool(pieces))
+    explanations = [] if look and pieces else explain(exercise, cases, outcomes, expected, simple=bool(pieces or look))
     where, looks = ([look], []) if look else right_parts.remarks(exercise, cases, outcomes, expected, sames)
     said = [f"Most likely: {piece.name}. {piece.hint}" for piece in pieces]
     if pieces and (others := [words for one in explanations[:1] for words in one.words if not VAGUE.search(words)]):
