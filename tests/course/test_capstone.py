@@ -93,6 +93,28 @@ def test_a_wrong_filter_scores_worse(stage, mistake):
     assert capstone.judged(filled(**{stage: wrong})["filter_run"], capstone.unseen(1)).faults
 
 
+@pytest.mark.parametrize("mistake", ["IMU sample of the wrong step", *(f"{name}, in filter_predict" for name in (
+    "cross-covariances not propagated", "transition of the other direction", "sigma not squared"))])
+def test_the_slalom_shows_what_many_landmarks_hide(mistake):
+    museum = EXERCISES["filter_run"]
+    [wrong] = [m.function for m in [*museum.mistakes, *museum.inherited] if m.name == mistake]
+    one = capstone.judged(wrong, capstone.slalom())
+    low, high = capstone.nees_band()
+    assert low < one.agreed.nees < high
+    assert one.faults
+
+
+def test_a_wrong_filter_that_does_no_harm_is_not_praised(monkeypatch, capsys):
+    [wrong] = [m.function for m in EXERCISES["filter_run"].inherited if m.name.startswith("first measurement used")]
+    monkeypatch.setattr(capstone, "drives", lambda student: [capstone.unseen(student).slice(0, 10)])
+    assert capstone.score(wrong).status == RIGHT
+    said = capsys.readouterr().out
+    assert said.startswith("filter_run: wrong")
+    assert "first measurement used twice, in filter_frame" in said
+    assert "no measurable harm on these drives" in said
+    assert "like the agreed filter" not in said
+
+
 def test_a_covariance_that_is_reported_too_large_is_seen_though_its_nees_is_good():
     def inflated(drive, noise):
         for T, landmarks, ids, P in filled()["filter_run"](drive, noise):
@@ -173,7 +195,7 @@ def test_of_twelve_whole_filters_with_one_mistake_the_stage_is_named_and_mostly_
         verdict = judge(EXERCISES["filter_run"], edited(whole, *edits))
         assert verdict.status == WRONG
         said = " ".join([verdict.text, verdict.more])
-        stages += f"in {stage}" in said or f"`{stage}`" in said or stage == "filter_run" and bool(verdict.mistake)
+        stages += f"in {stage}" in said or f"`{stage}`" in said or (stage == "filter_run" and bool(verdict.mistake))
         causes += bool(cause) and cause in verdict.mistake
     assert judge(EXERCISES["filter_run"], whole).right
     assert (stages >= 10, causes >= 8) == (True, True), (stages, causes)
