@@ -81,10 +81,6 @@ class ErrorState(ABC):
                 delta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The state, pose (4, 4) and points, after an error delta (3n+6,) has been estimated."""
 
-    def retract_motion(self, world_T_imu: np.ndarray, values: np.ndarray, delta: np.ndarray) -> np.ndarray:
-        """What a motion model estimates beyond the pose, (t,), after an error delta (6+t,), [pose, motion]: a sum."""
-        return values + delta[6:]
-
     @abstractmethod
     def shifted(self, points: np.ndarray, shift: np.ndarray) -> np.ndarray:
         """The points after a shift (n, 3) of y, see `world_landmark`."""

@@ -32,6 +32,7 @@ from .imu import ADIS16448, ImuNoise, State
 from .noise import Noise
 from .odometry import Trajectory
 
+NAMES_THE_WORLD = np.diag(np.repeat([1e-8, 1e-8, 1e-6, 0, 0], 3))  # what is zero by definition at the start
 BIAS_SIGMA = np.repeat([0.1, 0.2], 3)  # rad/s and m/s^2, what a bias may be before anything was measured
 STILL = 0.02, 0.3  # rad/s and m/s^2: how far the samples of an IMU at rest may spread
 LEAST_STILL, STILL_PX = 0.3, 2.0  # s, the shortest stand-still to start from; px, the median track in that time
@@ -83,9 +84,10 @@ class ImuSamples:
 
 
 def samples_of(drive: Drive) -> ImuSamples:
-    """The samples of a drive. Raises DriveError for one without an accelerometer."""
+    """The samples of a drive. Raises DriveError for one without an accelerometer, or whose samples do not cover it."""
     if drive.imu is None:
         raise DriveError(f"{drive.name or 'this drive'} has no accelerometer (imu is None)")
+    drive.imu.between(drive.times[0], drive.times[-1])
     return drive.imu
 
 
@@ -242,14 +244,7 @@ def initial(drive: Drive, noise: Noise) -> tuple[State, np.ndarray]:
     if not stands_still(drive):
         return aligned(drive, noise)
     state, P = imu.stand_still(*samples.between(start, still_until(samples, start)), samples.noise, BIAS_SIGMA[3])
-    return state, P + np.diag(np.repeat([0, 1e-8, 1e-6, 0, 0], 3)) + heading_known(state)
-
-
-def heading_known(state: State) -> np.ndarray:
-    """(15, 15), the least variance of a turn about up: the heading at the start is known, it names the world."""
-    P = np.zeros((15, 15))
-    P[imu.ROTATION, imu.ROTATION] = 1e-8 * np.outer(state.rotation[2], state.rotation[2])
-    return P
+    return state, P + NAMES_THE_WORLD
 
 
 def camera_path(drive: Drive, noise: Noise) -> tuple[np.ndarray, np.ndarray]:
@@ -297,9 +292,9 @@ def aligned(drive: Drive, noise: Noise) -> tuple[State, np.ndarray]:
         x = np.linalg.lstsq(np.vstack([A, 1e3 * length]), np.append(r, 1e3 * g))[0]
     R = imu.upright(-x[3:6] / np.linalg.norm(x[3:6]))
     state = State(R, np.zeros(3), R @ x[:3], gyro_bias, x[6:])
-    P = np.diag(np.square(np.repeat([0.0, 1e-4, 0.3, 0.01, BIAS_SIGMA[3]], 3)))
-    P[imu.ROTATION, imu.ROTATION] = 0.03**2 * (np.eye(3) - np.outer(R[2], R[2]))
-    return state, P + heading_known(state)
+    P = np.diag(np.square(np.repeat([0.0, 0.0, 0.3, 0.01, BIAS_SIGMA[3]], 3)))
+    P[imu.ROTATION, imu.ROTATION] = 0.03**2 * (np.eye(3) - np.outer(R[2], R[2]))  # about up it names the world
+    return state, P + NAMES_THE_WORLD
 
 
 def dead_reckon(drive: Drive, noise: Noise, begin: tuple[State, np.ndarray]) -> Trajectory:

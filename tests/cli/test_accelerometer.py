@@ -53,9 +53,11 @@ def test_what_run_refuses(tmp_path, capsys):
     assert cli.main(["run", *arguments, "--audit"]) == 2
     assert "--audit judges an IMU that gives velocities" in capsys.readouterr().err
     lines = (tmp_path / "imu.csv").read_text().splitlines(keepends=True)
-    (tmp_path / "imu.csv").write_text("".join(lines[:300]))
-    assert cli.main(["run", *arguments]) == 2
-    assert "no samples between the frames" in capsys.readouterr().err
+    other_clock = [f"-{10 - k}{line[line.index(','):]}" for k, line in enumerate(lines[1:4])]
+    for wrong in (lines[:300], other_clock):
+        (tmp_path / "imu.csv").write_text("".join(wrong))
+        assert cli.main(["run", *arguments]) == 2
+        assert "no samples between the frames" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numerical import central_difference
 
-from vislam_edu import Noise, RightInvariant, RightPerturbation, imu, load, se3, simulate, window_slam
+from vislam_edu import Noise, RightInvariant, RightPerturbation, imu, inertial_batch, load, se3, simulate, window_slam
 from vislam_edu.course.ch16 import msckf, observability
 from vislam_edu.stereo import ROWS
 
@@ -75,11 +75,9 @@ def test_first_estimates_are_less_overconfident_than_the_report_s_error():
 
 
 def test_four_directions_are_not_measured_and_a_second_linearisation_point_takes_the_yaw():
-    drive, velocity, bias = simulate.inertial_loop(1, frames=150)
-    T = drive.truth_world_T_cam[60] @ drive.camera.cam_T_imu
-    start = imu.State(T[:3, :3], T[:3, 3], velocity[60], bias[60, :3], bias[60, 3:])
-    motions = observability.motions(drive.imu, start, drive.times[60:140:10])
-    states = observability.along(start, motions)
-    points = start.position + np.random.default_rng(0).uniform([8, -8, -2], [40, 8, 4], (40, 3)) @ start.rotation.T
-    assert observability.unmeasured(observability.system(drive.camera, states, motions, points)) == 4
-    assert observability.unmeasured(observability.system(drive.camera, states, motions, points, shift=0.01)) == 3
+    drive, _, _ = simulate.inertial_loop(1, frames=30, tau=0.3, visible=20)
+    few = drive.slice(8, 16)
+    problem = inertial_batch.Problem(few, Noise(), begin=(imu.State.at_rest(), np.eye(15)))
+    estimate = problem.at(few.true_world_T_imu)
+    assert observability.unmeasured(observability.jacobian(problem, estimate)) == 4
+    assert observability.unmeasured(observability.jacobian(problem, estimate, shift=0.01)) == 3

@@ -43,7 +43,7 @@ class GrowthPicture(Picture):
     """Left the standard deviation of the position of an IMU alone through time; right what each error adds to it."""
 
     name = "growth"
-    size = (8.4, 3.6)
+    size = (8.2, 3.6)
     controls = CONTROLS
 
     def build(self):
