@@ -14,6 +14,7 @@ from nbclient import NotebookClient
 from nbformat.v4 import new_code_cell, new_output
 
 import vislam_edu
+from vislam_edu.course.guesses import GUESSED
 
 HERE = Path(__file__).resolve().parent
 SERIES, COPIES, PAGES = HERE.parent / "notebooks", HERE / "notebooks", HERE / "_live" / "explorers"
@@ -27,6 +28,7 @@ html_js_files = [("site.js", {"defer": "defer"})]
 exclude_patterns = ["_live"]
 nb_execution_mode = "off"
 nb_mime_priority_overrides = [("html", "text/html", 1), ("html", "image/png", 2)]  # not the empty view of a widget
+nb_code_prompt_show, nb_code_prompt_hide = "Guess first, then show the result", "Hide the result"
 myst_enable_extensions = ["amsmath", "dollarmath"]
 myst_heading_anchors = 2
 autodoc_member_order = "bysource"
@@ -63,7 +65,7 @@ def frame(file, alt):
 
 
 def prepare(app):
-    """Copy the notebooks: explorers live, every picture with the alternative text that its output carries."""
+    """Copy the notebooks: explorers live, guessed results folded, every picture with its output's alternative text."""
     shutil.rmtree(COPIES, ignore_errors=True)
     shutil.copytree(SERIES / "images", COPIES / "images")
     wanted = None if app.config.live == "all" else app.config.live.split(",")
@@ -71,6 +73,8 @@ def prepare(app):
         notebook = nbformat.read(path, as_version=4)
         saved = live_pages(path, notebook) if wanted is None or path.stem in wanted else {}
         for cell in notebook.cells:
+            if GUESSED in (tags := cell.metadata.get("tags", [])):
+                tags.append("hide-output")
             for k, output in enumerate(cell.get("outputs", [])):
                 alt = output.get("metadata", {}).get("image/png", {}).get("alt")
                 if alt:

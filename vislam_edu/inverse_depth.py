@@ -1,18 +1,17 @@
 """The joint filter with landmarks of inverse depth, plain: what `ekf_slam` is for the report's error, nothing dropped.
 
 A landmark is y = (a, b, rho) in its chart, the camera that saw it first: direction (a, b, 1), inverse depth rho, 1/m.
-A triangulated point at 60 m is far from Gaussian; y is a linear function of the pixels, so its Gaussian is exact, and
-rho may be zero or negative. A chart [R_c, C] is a part of the estimate: it is corrected together with the pose. So
-what the cameras see depends on y alone, and no measurement can tell where the world is or how it is turned.
+y is a linear function of the pixels, so its Gaussian is exact at any distance, and rho may be zero or negative. A chart
+[R_c, C] is corrected together with the pose, so what the cameras see depends on y alone: no measurement can tell where
+the world is or how it is turned.
 
     world point      M / rho  with  M = R_c (a, b, 1) + rho C
     errors           T = exp(x^) T_hat,  [R_c, C] = exp(x^) [R_c, C]_hat,  y = y_hat + eta
     state            landmarks first, then x = [x_p, x_R]: covariance (3n+6, 3n+6)
 
 `window_slam.run(drive, noise, InverseDepth())` gives the same numbers fast.
-Source: Civera, Davison, Montiel, Inverse depth parametrization for monocular SLAM, 2008 (the coordinates); Barrau,
-Bonnabel, An EKF-SLAM algorithm with consistency properties, 2015 (the error of the pose); Bell, Cathey, The iterated
-Kalman filter update as a Gauss-Newton method, 1993 (the second linearisation).
+Sources: Civera, Davison, Montiel, Inverse depth parametrization for monocular SLAM, 2008; Barrau, Bonnabel, An EKF-SLAM
+algorithm with consistency properties, 2015; Bell, Cathey, The iterated Kalman filter as a Gauss-Newton method, 1993.
 
 >>> from vislam_edu import Noise, inverse_depth, load
 >>> *_, last = inverse_depth.run(load("first_steps").slice(0, 5), Noise())
@@ -90,11 +89,10 @@ def step(before: Belief, twist: np.ndarray, tau: float, ids: np.ndarray, pixels:
     H, q = linearise(prior, ids, camera)
     S = kalman.innovation_covariance(prior.covariance, H, V)
     predicted, in_front = camera.project_homogeneous(q)
-    residual = pixels - predicted
-    nis = np.where(in_front, kalman.nis(residual, S), np.inf)
+    nis = np.where(in_front, kalman.nis(pixels - predicted, S), np.inf)
     good = in_front & (nis <= threshold)
     delta, _ = kalman.update(prior.covariance, np.concatenate(H[good]), np.kron(np.eye(good.sum()), V),
-                             residual[good].ravel())
+                             (pixels - predicted)[good].ravel())
 
     N = move(before, twist, tau)[1]
     n = np.linalg.solve(N[-6:], delta[-6:])  # the error of the twist that explains the new pose
@@ -146,10 +144,10 @@ def run(drive: Drive, noise: Noise, gate: float = 0.99, world_T_imu: np.ndarray 
         ids, pixels = drive.observed(k)
         old = np.isin(ids, posterior.ids)
         prior, innovation = posterior, NO_INNOVATION
+        sample = drive.step_twists[k - 1], drive.taus[k - 1]
         if old.any():
-            prior, posterior, innovation = step(posterior, drive.step_twists[k - 1], drive.taus[k - 1], ids[old],
-                                                pixels[old], camera, noise, threshold)
+            prior, posterior, innovation = step(posterior, *sample, ids[old], pixels[old], camera, noise, threshold)
         elif k:
-            prior = posterior = predict(posterior, drive.step_twists[k - 1], drive.taus[k - 1], noise)
+            prior = posterior = predict(posterior, *sample, noise)
         posterior = initialise(posterior, ids[~old], pixels[~old], camera, noise)
         yield Step(k, drive.times[k], prior, posterior, innovation, ids[~old], np.empty(0, int))

@@ -91,6 +91,17 @@ def test_a_chapter_shows_its_live_explorer(page, site):
     page.frame_locator("iframe").first.locator("input[type=range]").first.wait_for()
 
 
+def test_a_result_that_is_guessed_first_is_folded_until_it_is_asked_for(page, site):
+    for name in (CHAPTERS[1], CHAPTERS[5]):
+        page.goto(f"{site}notebooks/{name}.html")
+        cells = page.locator(".cell.tag_guessed")
+        assert cells.count() > 3
+        results = cells.locator(".cell_output")
+        assert not any(result.is_visible() for result in results.all())
+        cells.locator("summary").first.click()
+        assert results.first.is_visible()
+
+
 def test_pictures_keep_their_alternative_text(page, site):
     page.goto(f"{site}notebooks/02_stereo_triangulation.html")
     alts = page.locator("article img").evaluate_all("images => images.map(image => image.alt)")

@@ -14,7 +14,7 @@ from vislam_edu.drive import DriveError
 from vislam_edu.error_state import RightInvariant
 from vislam_edu.noise import Noise
 from vislam_edu.simulate import faults
-from vislam_edu.studies import pipeline
+from vislam_edu.studies import pipeline, run_warnings
 
 SHARED = Path(__file__).resolve().parents[3] / "shared" / "data"
 WALK = (0.3, 0.05)
@@ -250,12 +250,12 @@ def test_a_solution_says_how_it_ended():
     problem = batch.Problem(drive, Noise())
     good = pipeline.run_batch(problem, None)
     assert good.solution.converged
-    assert not good.warnings
+    assert not run_warnings.of_batch(good, drive.true_world_T_imu)
     assert problem.dof == 3 * (len(drive.pixels) - np.count_nonzero(drive.first_seen >= 0))
     stopped = pipeline.Smoothed(replace(good.solution, converged=False), 0.0)
-    assert "not come to rest" in stopped.warnings[0]
+    assert "not come to rest" in run_warnings.of_batch(stopped)[0]
     wrong = pipeline.run_batch(batch.Problem(drive, Noise(sigma_px=0.2)), None)
-    assert "per degree of freedom where 1 is right" in wrong.warnings[-1]
+    assert "per degree of freedom where 1 is right" in run_warnings.of_batch(wrong)[-1]
 
 
 def test_iterations_of_a_robust_loss_end_when_the_path_stands_still():

@@ -12,7 +12,7 @@ from vislam_edu.error_state import RightInvariant, RightPerturbation
 from vislam_edu.motion import TwistAndBias
 from vislam_edu.noise import Noise
 from vislam_edu.simulate import faults
-from vislam_edu.studies import pipeline
+from vislam_edu.studies import pipeline, run_warnings
 
 SEEDS = range(3)
 
@@ -62,7 +62,8 @@ def test_a_gate_for_each_landmark_alone_is_not_enough():
 @pytest.mark.parametrize("process_frame", [window_slam.correlated, robust.process_frame])
 def test_thirty_per_cent_outlier_tracks_are_said_aloud(process_frame, error_state):
     for share, warned in ((0.0, False), (0.3, True)):
-        assert bool(joint(0, share, process_frame, error_state).warnings(gate=0.99)) == warned
+        run = joint(0, share, process_frame, error_state).run
+        assert bool(list(run_warnings.of_innovations(run, gate=0.99))) == warned
 
 
 def test_weights_fall_to_a_half_at_the_width_and_the_loss_is_bounded():

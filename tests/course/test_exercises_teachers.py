@@ -17,7 +17,7 @@ from whole import WHOLE
 import notebooks
 from vislam_edu import cli as command_line
 from vislam_edu.course.checks import museum
-from vislam_edu.course.checks.verdict import NOT_WRITTEN, RIGHT, WRONG
+from vislam_edu.course.checks.verdict import NOT_WRITTEN, WRONG
 from vislam_edu.course.exercises import EXERCISES
 from vislam_edu.course.grading import cells, grading
 
@@ -74,10 +74,10 @@ def by_notebook(out, name):
         return {row["exercise"]: row for row in csv.DictReader(file) if row["notebook"] == name}
 
 
-def test_a_notebook_filled_from_the_package_is_all_right(reported):
+def test_a_notebook_filled_from_the_package_is_borrowed(reported):
     found = by_notebook(reported, "anna/right.ipynb")
     assert list(found) == list(EXERCISES)
-    assert {row["status"] for row in found.values()} == {RIGHT}
+    assert {row["status"] for row in found.values()} == {grading.BORROWED}
 
 
 def test_a_notebook_of_stubs_is_not_written_yet(reported):

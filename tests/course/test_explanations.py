@@ -13,10 +13,11 @@ from collections import Counter
 import numpy as np
 import pytest
 from blind_answers import read
-from whole import WHOLE
+from whole import WHOLE, few
 
 from vislam_edu import se3
 from vislam_edu.course.checks import mutants, surroundings
+from vislam_edu.course.checks.edit import wrong_source
 from vislam_edu.course.checks.verdict import NOT_WRITTEN, RIGHT, WRONG, judge
 from vislam_edu.course.exercises import EXERCISES
 
@@ -46,7 +47,7 @@ def test_the_blind_set_is_large_enough():
     counts = Counter((answer.exercise, answer.cause == "") for answer in BLIND)
     for name, exercise in EXERCISES.items():
         assert counts[name, True] >= 2
-        if exercise.chapter in {*range(1, 8), 11, 12}:
+        if exercise.chapter <= 12:
             assert counts[name, False] >= 10
             assert counts[name, True] >= 3
 
@@ -81,7 +82,8 @@ def test_pieces_of_the_museum_are_described_without_the_museum():
         kinds["named" if verdict.mistake and "Perhaps" not in verdict.text else
               "localised" if located(verdict) else "generic"] += 1
     print(kinds)
-    assert kinds["named"] >= 0.7 * kinds.total()
+    assert kinds["named"] >= 0.55 * kinds.total()  # many a piece is there because the search finds no words for it
+    assert kinds["generic"] <= 0.1 * kinds.total()
 
 
 @pytest.mark.parametrize("name", EXERCISES)
@@ -89,6 +91,8 @@ def test_plain_answers_are_right_and_their_mutants_come_to_an_end(name):
     exercise = EXERCISES[name]
     for answer in exercise.answers:
         assert judge(exercise, answer).right
+    for mistake in few(1, (mistake for mistake in exercise.mistakes if mistake.edits)):
+        assert mutants.of_source(wrong_source(mistake.base, *mistake.edits), mistake.base, exercise.statement)
     found = mutants.of_exercise(exercise)
     assert len(found) > 20 or name in ("filter_frame", "filter_run")
     start = time.process_time()

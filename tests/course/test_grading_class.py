@@ -1,5 +1,6 @@
 """A class's submissions, honest and otherwise: each ends as it should; points, Canvas and Moodle files made of them."""
 
+import contextlib
 import csv
 import json
 import os
@@ -92,13 +93,9 @@ for path in (sys.argv[2] + "/record", sys.argv[2] + "/verdicts.jsonl"):
 json.dumps = json.JSONEncoder.encode = lambda *_, **__: '{"exercise": "so3_hat", "status": "right"}'""", CHECK_HAT],
                       (WRONG, MISSING, MISSING)),
     "patches what is called": ([WRONG_HAT, """from vislam_edu.course.checks import running, surroundings
-from vislam_edu.course.cli import hand_out
-from vislam_edu.course.exercises import EXERCISES
-import numpy as np
-ours, asarray = running.outcome_of, np.asarray
+ours = running.outcome_of
 running.outcome_of = lambda exercise, function, arguments: ours(exercise, exercise.reference, arguments)
-np.asarray = lambda part, *_: asarray([[0., -3, 2], [3, 0, -1], [-2, 1, 0]])
-EXERCISES["so3_hat"].inputs = lambda: []""", CHECK_HAT], (WRONG, MISSING, MISSING)),
+surroundings.restored = lambda: []""", CHECK_HAT], (WRONG, MISSING, MISSING)),
     "Jürgen Groß": (OTHERS, (RIGHT, RIGHT, RIGHT)),
     "two versions": (OTHERS, (RIGHT, RIGHT, RIGHT)),
 }
@@ -184,7 +181,7 @@ def test_points_say_what_they_rest_on(graded):
     rows = {row["student"]: row for row in table(graded[0] / "points.csv")}
     assert rows["broken"]["remarks"].startswith("broken/01_se3_kinematics.ipynb: not a readable notebook: ")
     assert rows["Absent Anna"]["remarks"] == "nothing handed in"
-    assert rows["two versions"]["remarks"] == "newest of 2: two versions/01_se3_kinematics.ipynb"
+    assert rows["two versions"]["remarks"] == "chapter 1, newest of 2: two versions/01_se3_kinematics.ipynb"
     assert rows["partly right"]["total"] == "1"
     assert rows["borrowed by call"]["total"] == "0"
 
@@ -230,12 +227,20 @@ def test_late_days_cost_and_the_newest_or_the_best_counts():
                 submitted("anna/b.ipynb", RIGHT, WRONG, time=(due + timedelta(hours=25)).timestamp()),
                 submitted("anna/c.ipynb", time=due.timestamp() + 1e6, problem="not a readable notebook: no")]
     [newest], _ = points.rows(versions, due=due, penalty=10)
-    assert (newest.total, newest.late, newest.remarks[-1]) == (0.8, 2, "newest of 2: anna/b.ipynb")
+    assert (newest.total, newest.late, newest.remarks[-1]) == (0.8, 2, "chapter 1, newest of 2: anna/b.ipynb")
     [best], _ = points.rows(versions, due=due, penalty=10, best=True)
     assert (best.total, best.late) == (2.0, 0)
     person = points.Person(name="anna", submitted="2026-05-01T11:00")
     [row], _ = points.rows(versions, [person], due=due, penalty=10)
     assert row.total == 1.0
+
+
+def test_a_roster_that_is_none_says_where(tmp_path):
+    for text, words in [("name,id\n", "no student in it"), ("name,submitted\nAnna,yesterday\n", "'yesterday' for Anna"),
+                        ("M\xfcller\n".encode("latin-1"), "not UTF-8")]:
+        (tmp_path / "roster.csv").write_bytes(text if isinstance(text, bytes) else text.encode())
+        with pytest.raises(OptionError, match=words):
+            points.roster(tmp_path / "roster.csv")
 
 
 def test_gradescope_gets_a_result_for_each_exercise():
@@ -258,8 +263,7 @@ def test_a_list_of_points_that_is_none_says_where(tmp_path, text, words):
 def through_data(exercise, function):
     """The verdict of the grader: what the function did crosses as JSON."""
     entry = json.loads(json.dumps(submission.tried(exercise.name, function)))
-    return concluded(exercise, list(map(submission.received, entry["outcomes"])), entry["ended"], entry["is_written"],
-                     entry["rebound"], lambda _: entry["clues"])
+    return concluded(exercise, submission.received(entry["attempt"]))
 
 
 class Cunning:
@@ -315,6 +319,13 @@ def test_right_blind_answers_are_nobody_elses():
             assert borrowing.borrowed(EXERCISES[answer.exercise], uses) == []
 
 
+def test_a_variable_called_solution_is_none():
+    own = HAT.replace("x, y, z = omega", "solution = omega\n    x, y, z = solution")
+    assert not borrowing.asks_for_solution([own, "solution('so3_hat')"], "so3_hat", here=True)
+    assert borrowing.asks_for_solution([own, "solution('so3_hat')"], "so3_hat", here=False)
+    assert borrowing.asks_for_solution(["def so3_hat(w):\n    return EXERCISES['so3_hat'](w)"], "so3_hat", here=True)
+
+
 def test_names_and_layout_do_not_make_another_answer():
     first, second = ({**borrowing.forms([source])} for source in (EXP, RENAMED_EXP))
     assert first == second
@@ -340,3 +351,14 @@ def test_students_are_handed_stubs_and_nothing_of_the_teachers(tmp_path, capsys)
     assert cli.main(["hand-out", str(tmp_path / "other"), "--chapters", "99"]) == cli.BAD_INPUT
     assert capsys.readouterr().err == "vislam_edu: 99: there is no notebook of this chapter\n"
     assert not (tmp_path / "other").exists()
+
+
+@pytest.mark.parametrize(("words", "told"), [
+    (["--for", "canvas"], "exercises --for canvas: --roster names the file with the students' ids"),
+    (["--due", "tomorrow"], "'tomorrow' is no time; write it as 2026-05-01T23:59")])
+def test_options_that_cannot_be_are_refused_before_anything_runs(tmp_path, capsys, words, told):
+    write(tmp_path / "class", ["pass"])
+    with contextlib.suppress(SystemExit):
+        cli.main(["exercises", "--report", str(tmp_path / "class"), "--out", str(tmp_path / "out"), *words])
+    assert told in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()

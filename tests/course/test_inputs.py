@@ -13,7 +13,7 @@ import pytest
 
 from vislam_edu.course.checks.comparing import differs
 from vislam_edu.course.checks.edit import plain_source
-from vislam_edu.course.checks.running import arrays, copied, outcome_of
+from vislam_edu.course.checks.running import copied, outcome_of, read
 from vislam_edu.course.exercises import EXERCISES
 
 COMPARISONS = (ast.Lt, ast.LtE, ast.Gt, ast.GtE, ast.Eq, ast.NotEq)
@@ -102,7 +102,7 @@ def accepted(name):
     """Words of the mutants that the inputs of an exercise do not tell from its plain answers."""
     exercise = EXERCISES[name]
     cases = exercise.inputs()
-    expected = [arrays(exercise.expected(*map(copied, arguments)), exercise.outputs)[0] for _, arguments in cases]
+    expected = [read(exercise.expected(*map(copied, arguments)), exercise.outputs)[0] for _, arguments in cases]
 
     def right(function):
         for (_, arguments), should in zip(cases, expected):

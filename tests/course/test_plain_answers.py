@@ -9,7 +9,7 @@ from vislam_edu import association, batch, ekf_slam, kalman, metrics, odometry, 
 from vislam_edu.belief import Belief
 from vislam_edu.course.ch16 import msckf
 from vislam_edu.course.checks.comparing import differs
-from vislam_edu.course.checks.running import arrays, copied, outcome_of
+from vislam_edu.course.checks.running import copied, outcome_of, read
 from vislam_edu.course.exercises import EXERCISES
 from vislam_edu.error_state import RightInvariant, RightPerturbation
 from vislam_edu.imu import VELOCITY, ImuNoise, jacobians, preintegrate
@@ -138,7 +138,7 @@ PACKAGE = {
 def test_a_plain_answer_gives_the_packages_numbers(name):
     exercise = EXERCISES[name]
     for _, arguments in (case for seed in range(3) for case in exercise.inputs(seed)):
-        expected = arrays(PACKAGE[name](*map(copied, arguments)), exercise.outputs)[0]
+        expected = read(PACKAGE[name](*map(copied, arguments)), exercise.outputs)[0]
         for answer in exercise.answers:
             with np.errstate(divide="ignore", invalid="ignore"):  # a disparity of zero
                 outcome = outcome_of(exercise, answer, arguments)

@@ -7,7 +7,7 @@ share it, no comparison of tracks chosen at random shows it: what shows is where
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import f, norm
+from scipy.special import fdtrc, ndtr
 
 from . import imu_alignment, visual_odometry
 from .report import Finding
@@ -52,7 +52,7 @@ def saddle(drive) -> tuple[float, float]:
 def row_saddle(drive):
     """v_left - v_right bent over the image: a yaw between the cameras or a decentred lens."""
     size, error = saddle(drive)
-    p = 2 * norm.sf(abs(size) / error)
+    p = 2 * ndtr(-abs(size) / error)
     if p < SIGNIFICANCE and abs(size) > MIN_SADDLE:
         yield Finding(
             "row saddle", size, "px at one focal length", chance(p),
@@ -82,7 +82,7 @@ class Halves:
     @property
     def p_value(self) -> float:
         """How often noise alone would part the halves as much; the scatter itself is known from 6 numbers a piece."""
-        return float(f.sf(self.distance2 / 6, 6, 6 * self.pieces))
+        return float(fdtrc(6, 6 * self.pieces, self.distance2 / 6))
 
 
 def compare_halves(drive, first) -> Halves | None:

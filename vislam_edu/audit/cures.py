@@ -82,7 +82,6 @@ def use_imu_sample(sample: str) -> Cure:
 
 def shift_imu(samples: int, sample: str) -> Cure:
     """Sample k becomes what sample k + samples was (ends repeat the last one), and is then read as `sample`."""
-
     def function(drive):
         source = np.clip(np.arange(drive.n_frames) + samples, 0, drive.n_frames - 1)
         return drive.replace(twists=drive.twists[source], imu_sample=sample)

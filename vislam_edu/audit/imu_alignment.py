@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from .. import se3
 
@@ -80,7 +80,7 @@ class Alignment:
         """Probability of a deviation (k,) at least that far from zero if the true one were zero (Wald's test)."""
         deviation = np.atleast_1d(deviation)
         wald = deviation @ np.linalg.solve(self.covariance[block, block], deviation)
-        return float(chi2.sf(wald, len(deviation)))
+        return float(chdtrc(len(deviation), wald))
 
 
 def correlation(a, b):
@@ -152,7 +152,7 @@ def mounting_p_value(alignment, imu_R_cam) -> float:
     bound = fit(alignment.steps, alignment.measured, alignment.seen, alignment.seen_covariance, imu_R_cam)
     gain = (cost(bound, alignment.variance) - cost(alignment, alignment.variance)) / 2
     angle = np.linalg.norm(se3.so3_log(imu_R_cam @ alignment.imu_R_cam.T))
-    return float(chi2.sf(evidence(gain, 4 * np.sin(angle / 2) ** 2 * camera_noise(alignment)), 3))
+    return float(chdtrc(3, evidence(gain, 4 * np.sin(angle / 2) ** 2 * camera_noise(alignment))))
 
 
 def cost(alignment, variance) -> float:

@@ -6,7 +6,7 @@ the first judge an `Alignment`.
 
 import numpy as np
 from scipy.spatial.transform import Rotation
-from scipy.stats import chi2
+from scipy.special import chdtrc, chdtri
 
 from .. import se3
 from . import cures, imu_alignment
@@ -67,13 +67,13 @@ def mirrored_axis(drive, motions, alignment):
         z2 = imu_alignment.evidence((cost[0] - cost[1]) / 2, 4 * imu_alignment.camera_noise(mirrored))
         straight = np.array_equal(_turn(drive, mirrored), np.eye(3))
         trials.append((z2, straight, axis, cure, mirrored))
-    threshold = chi2.isf(SIGNIFICANCE / 3, 1)
+    threshold = chdtri(1, SIGNIFICANCE / 3)
     most = max(z2 for z2, *_ in trials)
     if most <= threshold:
         return [], alignment
     likely = [trial for trial in trials if trial[0] > most - threshold]
     z2, _, axis, cure, mirrored = max(likely, key=lambda trial: (trial[1], trial[0]))
-    finding = Finding("mirrored axis", axis, "axis of the gyro", chance(3 * chi2.sf(z2, 1)),
+    finding = Finding("mirrored axis", axis, "axis of the gyro", chance(3 * chdtrc(1, z2)),
                       f"{AXES[3 + axis]} has the wrong sign: no rotation of the IMU explains it",
                       cure, f"reverse {AXES[3 + axis]}")
     return [finding], mirrored
@@ -136,7 +136,7 @@ def lever_arm(drive, alignment):
 
     def p_value(camera):
         deviation = alignment.camera_in_imu - camera.imu_T_cam[:3, 3]
-        return float(chi2.sf(deviation @ np.linalg.solve(covariance, deviation), 3))
+        return float(chdtrc(3, deviation @ np.linalg.solve(covariance, deviation)))
 
     given = drive.camera.imu_T_cam[:3, 3]
     p, known = p_value(drive.camera), _shrunk(alignment.camera_in_imu - given, covariance, prior=1.0)

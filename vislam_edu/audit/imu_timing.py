@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.stats import norm
+from scipy.special import ndtr
 
 from . import imu_alignment
 
@@ -55,10 +55,10 @@ class Timing:
         if not np.isfinite(self.peak[1]):
             return 1.0  # no offset stands out
         if abs(self.peak[0] - offset) < 0.75:
-            return float(2 * norm.sf(abs(self.peak[0] - offset) / self.peak[1]))
+            return float(2 * ndtr(-abs(self.peak[0] - offset) / self.peak[1]))
         gain = self.log_likelihood.max() - self.log_likelihood[np.abs(OFFSETS - offset) < 0.75].max()
         z = imu_alignment.evidence(gain, 2 * self.camera_noise) ** 0.5
-        return float(min(1.0, 2 * len(OFFSETS) * norm.sf(z)))
+        return float(min(1.0, 2 * len(OFFSETS) * ndtr(-z)))
 
 
 def estimate(drive, motions) -> Timing:

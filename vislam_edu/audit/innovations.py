@@ -8,7 +8,7 @@ from dataclasses import replace
 from itertools import product
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from .. import kalman, window_slam
 from ..drive import Drive
@@ -49,7 +49,7 @@ def readings(drive: Drive, noise: Noise) -> Iterator[Finding]:
         # What the filter's own claims are off by makes every gain look that much more certain
         inflation = max(1.0, cost[best].sum() / (4 * max(len(drive.landmark) - drive.n_landmarks, 1)))
         gain = float((without - cost[best]).sum() / inflation)
-        p = chi2.sf(gain, 1)
+        p = chdtrc(1, gain)
         if p < SIGNIFICANCE:
             yield Finding(fault, gain, "of squared z", chance(p),
                           f"a filter that reads {name} is contradicted less by the tracks: summed NIS "

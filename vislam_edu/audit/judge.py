@@ -46,9 +46,7 @@ def audit(drive: Drive) -> Report:
 def _judge(drive: Drive) -> Report:
     """The checks of the single sensors, one after the other."""
     copy_steps = track_health.copy_steps(drive)
-    findings = [*track_checks.copy_frames(drive, copy_steps), *track_checks.frozen(drive),
-                *track_checks.behind_infinity(drive), *track_checks.row_offset(drive),
-                *track_checks.missing_frames(drive)]
+    findings = track_checks.without_motion(drive)
     cured = _apply(drive, findings)
     motions = visual_odometry.estimate(cured)
     findings += track_checks.outlier_tracks(cured, motions)

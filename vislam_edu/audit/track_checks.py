@@ -4,7 +4,7 @@ The first five look at the tracks alone, `outlier_tracks` holds them against the
 """
 
 import numpy as np
-from scipy.stats import binom, chi2, norm, poisson
+from scipy.special import bdtrc, ndtr, pdtrc
 
 from . import cures, track_health, visual_odometry
 from .report import Finding
@@ -21,6 +21,12 @@ MIN_OUTLIER_NOISE = 0.5  # px: a track that noise of this size explains does lit
 def chance(p):
     """A p-value that underflowed is still not the zero of a certain thing."""
     return float(np.clip(p, 1e-300, 1.0))
+
+
+def without_motion(drive):
+    """All findings of the tracks and times alone: these checks are quick, for they need no motion of the cameras."""
+    return [*copy_frames(drive, track_health.copy_steps(drive)), *frozen(drive), *behind_infinity(drive),
+            *row_offset(drive), *missing_frames(drive)]
 
 
 def copy_frames(drive, copy_steps):
@@ -47,7 +53,7 @@ def frozen(drive):
 def behind_infinity(drive):
     """Disparities below zero by more than noise explains: left and right show different things."""
     bad = track_health.behind_infinity(drive)
-    p = float(poisson.sf(bad.sum() - 1, len(bad) * norm.sf(5)))
+    p = float(pdtrc(bad.sum() - 1, len(bad) * ndtr(-5)))
     if p < SIGNIFICANCE and bad.mean() > MIN_BEHIND_INFINITY:
         yield Finding("behind infinity", int(bad.sum()), "observations", chance(p),
                       f"{bad.sum()} disparities ({bad.mean():.2%}) are below zero by more than noise explains, "
@@ -64,7 +70,7 @@ def row_offset(drive):
         return
     offset = float(np.median(difference))
     error = 1.2533 * 2**0.5 * visual_odometry.row_noise(drive.pixels) / len(difference) ** 0.5  # of a median
-    p = 2 * norm.sf(abs(offset) / max(error, 1e-12))
+    p = 2 * ndtr(-abs(offset) / max(error, 1e-12))
     if p < SIGNIFICANCE and abs(offset) > MIN_ROW_OFFSET:
         cure = cures.Cure(f"v_right raised by {offset:.2f} px", True,
                           lambda drive: drive.replace(pixels=drive.pixels + [0, 0, 0, offset]))
@@ -89,13 +95,13 @@ def outlier_tracks(drive, motions):
     known = motions.ok[motions.step]
     landmark = drive.landmark[motions.before]
     distance = np.sqrt(motions.mahalanobis2) * min(1.0, motions.sigma_px / MIN_OUTLIER_NOISE)
-    off = known & (distance**2 > chi2.ppf(visual_odometry.INLIER_PROBABILITY, 3))
+    off = known & (distance**2 > visual_odometry.INLIER_D2)
     pairs, wrong = (np.bincount(landmark[rows], minlength=drive.n_landmarks) for rows in (known, off))
     judged = pairs >= 2
     outliers = judged & (wrong > pairs / 2)
     # Two pairs of two, or three of four ...: the likeliest innocent way is two of two
     by_chance = (1 - visual_odometry.INLIER_PROBABILITY) ** 2
-    p = float(binom.sf(outliers.sum() - 1, max(judged.sum(), 1), by_chance))
+    p = float(bdtrc(outliers.sum() - 1, max(judged.sum(), 1), by_chance))
     share = outliers.sum() / max(judged.sum(), 1)
     if p < SIGNIFICANCE and share > MIN_OUTLIER_TRACKS:
         flow = np.abs(drive.pixels[motions.after] - drive.pixels[motions.before]).max(axis=1)

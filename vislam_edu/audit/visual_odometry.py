@@ -15,13 +15,14 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtr, chdtri
 
 from .. import se3
 from ..stereo import ROW_VARIANCE, reduce_rows
 
 MIN_TRACKS = 8  # inlier tracks; below, six numbers from noisy pairs are not worth having
 INLIER_PROBABILITY = 0.999  # of a correct pair to be taken for one
+INLIER_D2 = chdtri(3, 1 - INLIER_PROBABILITY)  # squared distance that it corresponds to
 _ROBUST_ROUNDS, _ITERATIONS = 3, 3  # the noise carried along changes slowly, once per round is enough
 _TINY_PX = 1e-9
 
@@ -51,7 +52,7 @@ class FrameMotions:
     @cached_property
     def inlier(self) -> np.ndarray:
         """(P,) bool, pairs that agree with the motion of their step."""
-        return self.ok[self.step] & (self.mahalanobis2 < chi2.ppf(INLIER_PROBABILITY, 3))
+        return self.ok[self.step] & (self.mahalanobis2 < INLIER_D2)
 
     @cached_property
     def twists(self) -> np.ndarray:
@@ -108,24 +109,23 @@ def estimate(drive) -> FrameMotions:
         for _ in range(_ITERATIONS):
             residual, jacobian = problem.whitened(after_T_before, whitener, gain)
             d2 = np.sum(residual**2, axis=-1)
-            width2 = np.maximum(problem.median_by_step(d2) / chi2.median(3), _TINY_PX**2)
+            width2 = np.maximum(problem.median_by_step(d2) / chdtri(3, 0.5), _TINY_PX**2)
             weight = 1 / (1 + d2 / (3 * width2[step]))
             after_T_before, _ = problem.gauss_newton(after_T_before, residual, jacobian, weight)
 
-    limit = chi2.ppf(INLIER_PROBABILITY, 3)
     whitener, gain = problem.whitener(after_T_before)
     d2 = problem.distance2(after_T_before, whitener)
     least = max(row_noise(drive.pixels), _TINY_PX) ** 2
-    variance = max(np.median(d2) / chi2.median(3), least)
+    variance = max(np.median(d2) / chdtri(3, 0.5), least)
     for _ in range(_ITERATIONS):
         residual, jacobian = problem.whitened(after_T_before, whitener, gain)
-        inlier = np.sum(residual**2, axis=-1) < limit * variance
+        inlier = np.sum(residual**2, axis=-1) < INLIER_D2 * variance
         after_T_before, information = problem.gauss_newton(after_T_before, residual, jacobian, inlier)
         d2 = problem.distance2(after_T_before, whitener)
-        variance = max(problem.noise_variance(d2, limit * variance), least)
+        variance = max(problem.noise_variance(d2, INLIER_D2 * variance), least)
 
     d2 = d2 / variance
-    count = np.bincount(step[d2 < limit], minlength=n_steps)
+    count = np.bincount(step[d2 < INLIER_D2], minlength=n_steps)
     ok = (count >= MIN_TRACKS) & (np.linalg.cond(information) < 1e12)
     covariance = np.zeros((n_steps, 6, 6))
     covariance[ok] = variance * np.linalg.inv(information[ok])
@@ -224,6 +224,5 @@ class _Problem:
         enough = used >= MIN_TRACKS
         inlier &= enough[self.step]
         freedom = 3 * inlier.sum() - 6 * enough.sum()
-        q = chi2.ppf(INLIER_PROBABILITY, 3)
-        kept = chi2.cdf(q, 5) / chi2.cdf(q, 3)  # E[d2 | d2 < q] / 3 for three degrees of freedom
+        kept = chdtr(5, INLIER_D2) / chdtr(3, INLIER_D2)  # E[d2 | d2 < INLIER_D2] / 3 for three degrees of freedom
         return d2[inlier].sum() / max(freedom, 1) / kept

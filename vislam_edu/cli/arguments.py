@@ -15,7 +15,6 @@ class OptionError(ValueError):
 
 def number(low=-math.inf, high=math.inf, *, low_allowed=True):
     """A check for argparse: a finite number from low to high."""
-
     def check(text):
         value = float(text)  # argparse turns the ValueError of a word into its own message
         if not math.isfinite(value):
@@ -32,7 +31,6 @@ def number(low=-math.inf, high=math.inf, *, low_allowed=True):
 
 def whole(low, high=10**9):
     """A check for argparse: a whole number from low to high."""
-
     def check(text):
         value = int(text)
         if value < low:

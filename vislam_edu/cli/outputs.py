@@ -11,11 +11,10 @@ from pathlib import Path
 import numpy as np
 
 from .. import metrics, recordings, se3
-from ..error_state import RightPerturbation
 from ..motion import symmetric
 from ..plots import report_figures, style
 from ..recordings.files import made_folder, part_of
-from ..studies import pipeline
+from ..studies import run_warnings, runs
 
 PNG = style.PNG | {"pil_kwargs": {"compress_level": 3}}  # 2 % more bytes than 6, the default, in a third of the time
 SOMETIMES = ("lens.json", "fig8_batch.png")  # files that not every run leaves
@@ -56,34 +55,24 @@ def summary(result, smoothed=None, lens=None, warnings=()) -> dict:
             numbers |= _errors(drive, poses, "batch_")
             world_T_cam = poses @ drive.camera.imu_T_cam
             numbers["batch_drift_percent"] = metrics.kitti_drift(drive.truth_world_T_cam, world_T_cam)[0]
-        numbers["batch"] = _ending(smoothed.solution)
+        numbers["batch"] = _ending(smoothed)
     if lens is not None:
         numbers |= {"lens_px": lens.px, "lens_sigma_px": lens.sigma_px}
-    numbers["recommended"] = "dead reckoning" if pipeline.has_few_tracks(drive) else "filter"
-    found = [*warnings, *result.warnings, *(smoothed.warnings if smoothed is not None else [])]
+    numbers["recommended"] = "dead reckoning" if run_warnings.has_few_tracks(drive) else "filter"
+    found = [*warnings, *result.warnings]
+    if smoothed is not None:
+        found += run_warnings.of_batch(smoothed, runs.truth_beside(drive, poses))
     return numbers | {"changed": list(drive.history), "warnings": found}
 
 
-def _ending(solution):
-    """How a `batch.Solution` ended: cost_per_dof (1 is right with plain squares), converged, and its own claims.
+def _ending(smoothed):
+    """How a `pipeline.Smoothed` ended: cost_per_dof (1 is right with plain squares), converged, and its own claims.
 
-    The claims, of at most 40 frames spread over the drive, since each costs a solution of the whole system:
-    end_sigma_m, and with truth nees_pose and inside_3_sigma.
+    The claims, of its `claims`' frames: end_sigma_m, and with truth nees_pose and inside_3_sigma.
     """
-    T = solution.problem.drive.n_frames
-    frames = np.unique(np.linspace(0, T - 1, 40).round().astype(int))
-    claims = _claims(solution.problem.drive, solution.estimate.world_T_imu, solution.pose_covariance(frames), "", "",
-                     frames)
+    solution, (frames, covariance) = smoothed.solution, smoothed.claims
+    claims = _claims(solution.problem.drive, solution.estimate.world_T_imu, covariance, "", "", frames)
     return {"cost_per_dof": solution.cost_per_dof, "converged": solution.converged} | claims
-
-
-def _truth_beside(drive, world_T_imu):
-    """The true poses (T, 4, 4) in the world of the estimated ones."""
-    truth = drive.true_world_T_imu
-    if drive.imu is not None:
-        return truth  # `run_pipeline` has put it into the world of the estimate
-    first = np.flatnonzero(np.isfinite(truth[:, 0, 0]))[0]
-    return world_T_imu[first] @ truth if first else truth  # one that starts late is in the frame of its own first pose
 
 
 def _claims(drive, world_T_imu, covariance, label, suffix, frames=slice(None)):
@@ -93,18 +82,14 @@ def _claims(drive, world_T_imu, covariance, label, suffix, frames=slice(None)):
     """
     numbers = {f"end_sigma_m{label}": float(np.sqrt(np.trace(covariance[-1, :3, :3])))}
     if drive.has_truth:
-        truth, poses = _truth_beside(drive, world_T_imu)[frames], world_T_imu[frames]
-        known = np.isfinite(truth[:, 0, 0])
-        nees = metrics.pose_nees(RightPerturbation(), truth[known], poses[known], covariance[known])
-        error = RightPerturbation().pose_difference(truth[known], poses[known])
-        inside = np.abs(error) <= 3 * np.sqrt(np.diagonal(covariance[known], axis1=1, axis2=2))
-        numbers |= {f"nees_pose{suffix}": float(nees.pose.mean()),
-                    f"inside_3_sigma{suffix}": float(inside.mean(axis=0).min())}
+        truth = runs.truth_beside(drive, world_T_imu)
+        nees, inside = runs.against_truth(truth[frames], world_T_imu[frames], covariance)
+        numbers |= {f"nees_pose{suffix}": nees, f"inside_3_sigma{suffix}": inside}
     return numbers
 
 
 def _errors(drive, world_T_imu, prefix):
-    truth = _truth_beside(drive, world_T_imu)
+    truth = runs.truth_beside(drive, world_T_imu)
     error = metrics.position_errors(truth, world_T_imu)
     world_T_cam = world_T_imu @ drive.camera.imu_T_cam
     return {f"{prefix}position_rmse_m": float(np.sqrt(np.mean(error**2))),

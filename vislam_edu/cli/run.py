@@ -80,7 +80,7 @@ def prepare(arguments):
     from ..drive import DriveError
     from ..imu import ImuNoise
     from ..noise import Noise
-    from ..studies import pipeline, scale
+    from ..studies import pipeline, run_warnings, scale
 
     drive, options, warnings = read_recording(arguments), {}, []
     base = Noise.from_report() if arguments.report_noise else Noise()
@@ -100,7 +100,7 @@ def prepare(arguments):
             warnings.append(report.too_far)
         drive = report.cured(needs_future=not (arguments.causal or warnings))
         options = {"motion_model": robust.RealDrive, "process_frame": robust.process_frame}
-        if not pipeline.has_few_tracks(drive):
+        if not run_warnings.has_few_tracks(drive):
             options["metre"] = scale.of_the_imu
         if not arguments.report_noise:
             base = pipeline.noise_of_real_drive(report.noise)
@@ -110,6 +110,8 @@ def prepare(arguments):
                             ["nothing to cure"]), end="\n\n")
             if "metre" in options:
                 say(scale.EXPLAINED, end="\n\n")
+    else:
+        warnings = run_warnings.of_recording(drive)
     return drive.subsample(arguments.every), dataclasses.replace(base, **sigmas(arguments)), options, warnings
 
 
@@ -128,13 +130,13 @@ def error_state_of(arguments):
 
 def correct_lens(arguments, drive, noise):
     """The drive with its pixels corrected, the `LensErrors` that did it, and warnings of its estimate."""
-    from ..studies import lens_errors, pipeline
+    from ..studies import lens_errors, pipeline, run_warnings
 
     if arguments.lens_from:
         found, warnings = lens_errors.load(arguments.lens_from), []
     else:
         found, smoothed = lens_errors.estimate(pipeline.batch_of_real_drive(drive, noise, scale_sigma=0.05))
-        warnings = [f"lens: {warning}" for warning in smoothed.warnings]
+        warnings = [f"lens: {warning}" for warning in run_warnings.of_batch(smoothed)]
     if not arguments.quiet:
         say(found, end="\n\n")
     return found.corrected(drive), found, warnings

@@ -186,7 +186,10 @@ def _own_drive(fields):
     if "left_T_cam" in values:
         _rigid("left_T_cam", values["left_T_cam"])
     values |= {key: files.shown(fields.text(key)) for key in _OWN_TEXTS}
-    values["n_landmarks"] = _count(fields, "n_landmarks")
+    count = fields.number("n_landmarks")
+    if not (0 <= count <= 1e7 and count == int(count)):
+        raise DriveError(f"n_landmarks: {count}, expected a whole number from 0 to 10,000,000")
+    values["n_landmarks"] = int(count)
     if "imu_times" in fields:
         noise = fields.numbers("imu_noise")
         if noise.shape != (4,) or not (np.isfinite(noise) & (noise >= 0)).all():
@@ -197,14 +200,6 @@ def _own_drive(fields):
     if not isinstance(history, list) or not all(isinstance(line, str) for line in history):
         raise DriveError("history: expected a list of sentences")
     return Drive(camera=camera, history=tuple(map(files.shown, history)), **values)
-
-
-def _count(fields, key):
-    """A whole number of landmarks, at most as many as a drive of the course could have."""
-    value = fields.number(key)
-    if not (0 <= value <= 1e7 and value == int(value)):
-        raise DriveError(f"{key}: {value}, expected a whole number from 0 to 10,000,000")
-    return int(value)
 
 
 def _dense_drive(times, twists, fields, camera, name):

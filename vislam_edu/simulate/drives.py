@@ -20,6 +20,9 @@ from ..drive import Drive
 from ..stereo import StereoCamera
 from . import faults, streets
 
+__all__ = ["IMAGE_SIZE", "add_noise", "along", "first_steps", "kitti_camera", "perfect_street_loop", "places",
+           "returning_loop", "street_loop", "street_loop_data"]
+
 IMAGE_SIZE = (1241, 376)  # px, width and height
 SHORTEST_LOOP = 400.0  # m, unless asked for
 CAMERA_HEIGHT = 1.65  # m above the road

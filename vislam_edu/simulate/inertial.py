@@ -19,6 +19,8 @@ from ..imu import ADIS16448, GRAVITY, ImuNoise
 from ..inertial import ImuSamples
 from . import drives, streets
 
+__all__ = ["SmoothPath", "inertial_loop", "measure", "perfect_samples"]
+
 
 class SmoothPath:
     """Poses at any time between the first and the last of some known ones: a quintic spline and a rotation spline.

@@ -25,6 +25,8 @@ SCALE = 0.008
 BORESIGHT, LEVER_ARM, START = np.radians(0.3), 0.2, np.radians(0.1)  # rad, m, rad: about and along each axis
 GAUGES = [("scale", 0), *[(name, axis) for name in ("boresight", "lever arm", "start") for axis in range(3)]]
 
+LENS_CORRECTED = "pixels corrected by the lens"  # in the history of such a drive
+
 # px at one focal length from the centre of the image: the scatter that careful calibrations of one rig have
 LENS_PX = {"disparity": 0.1, "disparity_with_u_2": 3.0, "disparity_with_v_2": 1.5, "focal_length": 2.0, "radial": 2.0,
            "tangential_along_u": 1.5, "tangential_along_v": 0.7}

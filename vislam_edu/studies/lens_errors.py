@@ -53,7 +53,7 @@ class LensErrors:
             raise DriveError(f"the lens was learnt with a focal length of {self.focal_length_px:.1f} px and a baseline "
                              f"of {self.baseline_m:.3f} m; the camera here has {K[0, 0]:.1f} px and {b:.3f} m")
         return drive.replace(pixels=drive.pixels - faults.lens_shift(drive, **self.px),
-                             history=(*drive.history, "pixels corrected by the lens"))
+                             history=(*drive.history, calibration.LENS_CORRECTED))
 
     def save(self, path):
         """Write it to a JSON file. path : pathlib.Path."""

@@ -9,18 +9,18 @@ listened to as it goes, and of each landmark only its last estimate is kept.
 
 import time
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 
 import numpy as np
 
-from .. import batch, inertial, kalman, mapping, metrics, motion, odometry, window_slam
+from .. import batch, inertial, kalman, mapping, motion, odometry, window_slam
 from ..drive import Drive
 from ..error_state import RightPerturbation, world_landmark_covariance
 from ..mapping import MapBelief
 from ..noise import Noise
 from ..odometry import Trajectory
-from . import calibration, scale
-from .runs import record
+from . import calibration, run_warnings, scale
+from .runs import Run, record, truth_beside
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,36 +43,27 @@ class Slam:
 
     trajectory : Trajectory after each frame's update, its covariance expressed as a right perturbation whatever
     the error state of the filter. map : MapBelief, each landmark as it was when it left the state, or at the
-    end, its covariance in the world frame (m^2). measurements, rejected : how many were compared with a
-    prediction, and how many of them the gate kept out. seconds : what the filter took. method : key of the
-    series' colours and labels. metre : by what its lengths have been multiplied at the end, see `scale`.
+    end, its covariance in the world frame (m^2). run : Run, each measurement beside its prediction, before `metre`.
+    seconds : what the filter took. method : key of the series' colours and labels. metre : by what its lengths have
+    been multiplied at the end, see `scale`.
     """
 
     trajectory: Trajectory
     map: MapBelief
-    measurements: int
-    rejected: int
+    run: Run
     seconds: float
     method: str
     metre: float = 1.0
 
     @property
+    def measurements(self) -> int:
+        """How many were compared with a prediction."""
+        return len(self.run.nis)
+
+    @property
     def rejected_share(self) -> float:
         """Of the measurements, those that the gate kept out; 0 where there were none."""
-        return self.rejected / self.measurements if self.measurements else 0.0
-
-    def warnings(self, gate: float) -> list[str]:
-        """What the filter's own gate says against its result, in words; empty when nothing does.
-
-        gate : probability that a good measurement passes. Ten times as many rejections as that mean that the
-        measurements and the filter's claims do not fit together, whichever is wrong.
-        """
-        expected = 1 - gate
-        if self.rejected_share <= 10 * expected or not expected:
-            return []
-        return [f"the gate kept out {100 * self.rejected_share:.0f} % of the measurements where {100 * expected:.2g} % "
-                "is normal: tracks, calibration or noise are not what the filter assumes, so do not trust its "
-                "covariance (python -m vislam_edu audit shows which)"]
+        return float(np.mean(~self.run.accepted)) if self.measurements else 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,26 +87,9 @@ class Result:
 
     @property
     def warnings(self) -> list[str]:
-        """What speaks against the joint filter's result, see `doubts`."""
-        return doubts(self.drive, self.slam, self.dead_reckoning, self.gate)
-
-
-def doubts(drive, slam, dead_reckoning, gate) -> list[str]:
-    """What speaks against a joint filter's result, in words: its gate, few tracks, or that it claims to know less than
-    the IMU alone would. slam : Slam, dead_reckoning : Trajectory, both of the drive. gate : of the filter.
-    """
-    found = slam.warnings(gate)
-    if drive.imu is not None and not inertial.stands_still(drive):
-        found.append(f"the drive does not begin at rest: gravity, velocity and biases at its start were found from the "
-                     f"cameras' path over {inertial.ALIGN:g} s")
-    if has_few_tracks(drive):
-        found.append(f"{drive.visible.mean():.0f} tracks in view on average where a filter of this kind "
-                     f"needs {FEW_TRACKS}: dead reckoning is the better path")
-    ends = [np.sqrt(np.trace(t.covariance[-1, :3, :3])) for t in (slam.trajectory, dead_reckoning)]
-    if ends[0] > ends[1]:
-        found.append(f"by its own covariance the filter ends uncertain by {ends[0]:.2g} m, dead reckoning by "
-                     f"{ends[1]:.2g} m: the cameras' part does not help here")
-    return found
+        """What speaks against the joint filter's result, see `run_warnings.of_filter`."""
+        true = truth_beside(self.drive, self.slam.trajectory.world_T_imu)
+        return run_warnings.of_filter(self.drive, self.slam, self.dead_reckoning, self.gate, true, self.calibration)
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,17 +99,14 @@ class Smoothed:
     solution: batch.Solution
     seconds: float
 
-    @property
-    def warnings(self) -> list[str]:
-        """What speaks against the solution, in words; empty when nothing does."""
-        solution, dof, found = self.solution, max(self.solution.problem.dof, 1), []
-        if not solution.converged:
-            found.append(f"the batch estimate had not come to rest after {solution.iterations} iterations: its path is "
-                         "on the way to a minimum, not there")
-        if not solution.cost_per_dof <= MOST_COST * metrics.chi2_band(dof)[1] / dof:
-            found.append(f"the cost of the batch estimate is {solution.cost_per_dof:.2f} per degree of freedom where 1 "
-                         "is right: it ended in a wrong minimum, or the noise is not what is assumed")
-        return found
+    @cached_property
+    def claims(self) -> tuple[np.ndarray, np.ndarray]:
+        """At most 40 frames (n,), spread over the drive, and the covariance (n, 6, 6) of their poses.
+
+        Each costs a solution of the whole system.
+        """
+        frames = np.unique(np.linspace(0, self.solution.problem.drive.n_frames - 1, 40).round().astype(int))
+        return frames, self.solution.pose_covariance(frames)
 
 
 def run_batch(problem, world_T_imu) -> Smoothed:
@@ -151,15 +122,8 @@ def no_progress(frames, **_):
     return frames
 
 
-FEW_TRACKS = 10  # in view on average
-MOST_COST = 1.2  # of the batch, over the upper end of its chi-square band
 STILL = 0.05  # m: what no pose of a real drive moves in the batch's last iteration
 TRACK_SIGMA_PX = 1.0  # px. From frame to frame tracks scatter by 0.2 px, but over their life they slip.
-
-
-def has_few_tracks(drive) -> bool:
-    """Whether a drive's tracks are too few for a filter of this kind to improve on dead reckoning."""
-    return bool(drive.visible.mean() < FEW_TRACKS)
 
 
 def noise_of_real_drive(measured) -> Noise:
@@ -286,4 +250,4 @@ def collect_slam(drive, steps, error_state, method="slam") -> Slam:
     run = record(heard(), error_state)
     seconds = time.perf_counter() - begin
     return Slam(Trajectory(drive.times, run.world_T_imu, run.right_covariance), MapBelief(landmarks, spread, seen),
-                len(run.nis), int(np.count_nonzero(~run.accepted)), seconds, method)
+                run, seconds, method)

@@ -21,12 +21,12 @@ from ..drive import Drive, DriveError
 from ..error_state import ErrorState, InverseDepth, RightInvariant, RightPerturbation
 from ..noise import Noise
 from ..stereo import StereoCamera
-from . import consistency, pipeline
+from . import consistency, pipeline, run_warnings
+from .runs import against_truth
 
 Regime = Callable[..., tuple[Drive, Noise]]
 FILTERS: dict[str, ErrorState] = {"inverse_depth": InverseDepth(), "cartesian": RightInvariant(),
                                   "right": RightPerturbation()}
-BATCH_FRAMES = 40  # of whose poses the batch is asked for a covariance: each costs a solution of the whole system
 
 
 def on_street(seed: int, *, sigma_v: float = 0.5, sigma_omega: float = 0.05, sigma_px: float = 0.7, frames: int = 300,
@@ -100,24 +100,23 @@ def judge(regime: str, seed: int, names: Sequence[str] = (*FILTERS, "batch"), **
     for name, error_state in FILTERS.items():
         if name in names:
             slam = pipeline.joint(drive, noise, error_state, world_T_imu=start)
-            warnings = pipeline.doubts(drive, slam, dead_reckoning, gate=0.99)
+            warnings = run_warnings.of_filter(drive, slam, dead_reckoning, 0.99, drive.true_world_T_imu)
             found[name] = _figures(drive, slam.trajectory.world_T_imu, slam.trajectory.covariance, slice(None),
                                    slam.rejected_share, warnings)
             path = slam.trajectory.world_T_imu if name == "inverse_depth" else path
     if "batch" in names:
         smoothed = pipeline.run_batch(batch.Problem(drive, noise, prior_world_T_imu=start), path)
-        frames = np.unique(np.linspace(0, drive.n_frames - 1, BATCH_FRAMES).round().astype(int))
-        solution = smoothed.solution
-        found["batch"] = _figures(drive, solution.estimate.world_T_imu, solution.pose_covariance(frames), frames, 0.0,
-                                  smoothed.warnings)
+        frames, covariance = smoothed.claims
+        found["batch"] = _figures(drive, smoothed.solution.estimate.world_T_imu, covariance, frames, 0.0,
+                                  run_warnings.of_batch(smoothed, drive.true_world_T_imu))
     return found
 
 
 def _figures(drive, world_T_imu, covariance, frames, rejected_share, warnings) -> dict:
     true = drive.true_world_T_imu
-    nees = metrics.pose_nees(RightPerturbation(), true[frames], world_T_imu[frames], covariance).pose
+    nees, _ = against_truth(true[frames], world_T_imu[frames], covariance)
     drift = metrics.position_errors(*(se3.inverse(poses[0]) @ poses for poses in (true, world_T_imu)))
-    return {"nees_pose": float(nees.mean()), "rmse_m": float(np.sqrt(np.mean(drift**2))),
+    return {"nees_pose": nees, "rmse_m": float(np.sqrt(np.mean(drift**2))),
             "rejected_share": rejected_share, "warnings": warnings}
 
 
@@ -133,8 +132,8 @@ def study(regime: str, seeds: Sequence[int], names: Sequence[str] = (*FILTERS, "
 
     Returns {"seeds": how many, "filters": name: figures}: nees_pose (6 is right), rmse_m (of the position as seen from
     frame 0), rejected_share (by the gate; 0 for the batch, which has none), each the mean over the drives whose filter
-    did not break down, the RMSE a root of the mean square; warned, the share of the drives with a warning, and
-    warnings, those of the first such drive.
+    did not break down, the RMSE a root of the mean square; warned, the share of the drives with a warning;
+    warned_without_truth, the share with one that needs no ground truth; and warnings, those of the first warned drive.
     """
     jobs = (joblib.delayed(_attempt)(regime, seed, names, options) for seed in seeds)
     runs = list(tqdm(joblib.Parallel(return_as="generator")(jobs), total=len(seeds), desc=regime, unit="drive"))
@@ -148,7 +147,9 @@ def _over_seeds(runs) -> dict:
     means = {"nees_pose": nees.mean(), "rmse_m": np.sqrt(np.mean(rmse**2)), "rejected_share": rejected.mean()
              } if nees.size else dict.fromkeys(("nees_pose", "rmse_m", "rejected_share"), np.nan)
     return {key: float(value) if np.isfinite(value) else None for key, value in means.items()} | {
-        "warned": len(warned) / len(runs), "warnings": warned[0] if warned else []}
+        "warned": len(warned) / len(runs),
+        "warned_without_truth": sum(any(map(run_warnings.needs_no_truth, found)) for found in warned) / len(runs),
+        "warnings": warned[0] if warned else []}
 
 
 def format_study(regime: str, figures: dict) -> str:
@@ -156,4 +157,5 @@ def format_study(regime: str, figures: dict) -> str:
     return "\n".join(f"{regime:15}{name:15}" + "".join(
         f"{label} {'none' if one[key] is None else format(one[key], '.3g'):9}"
         for key, label in (("nees_pose", "NEES"), ("rmse_m", "RMSE m"), ("rejected_share", "rejected"),
-                           ("warned", "warned"))).rstrip() for name, one in figures["filters"].items())
+                           ("warned", "warned"), ("warned_without_truth", "without truth"))).rstrip()
+        for name, one in figures["filters"].items())

@@ -117,3 +117,25 @@ def attempt(steps: Iterable[Step], error_state: ErrorState | None = None) -> Run
         np.concatenate([empty.residual, *residuals]), np.concatenate([empty.nis, *nis]),
         np.concatenate([empty.accepted, *accepted]), problem,
     )
+
+
+def truth_beside(drive, world_T_imu):
+    """The true poses (T, 4, 4) in the world of the estimated ones (T, 4, 4), NaN where unknown; None if all are."""
+    if not drive.has_truth:
+        return None
+    truth = drive.true_world_T_imu
+    if drive.imu is not None:
+        return truth  # `run_pipeline` has put it into the world of the estimate
+    first = np.flatnonzero(np.isfinite(truth[:, 0, 0]))[0]
+    return world_T_imu[first] @ truth if first else truth  # one that starts late is in the frame of its own first pose
+
+
+def against_truth(true, world_T_imu, covariance) -> tuple[float, float]:
+    """Mean NEES of the pose, and the share of the frames in which its error is inside 3 sigma on its worst axis.
+
+    true, world_T_imu : (n, 4, 4), NaN where there is no truth. covariance : (n, 6, 6) of right perturbations.
+    """
+    known = np.isfinite(true[:, 0, 0])
+    error, P = RightPerturbation().pose_difference(true[known], world_T_imu[known]), covariance[known]
+    inside = np.abs(error) <= 3 * np.sqrt(np.diagonal(P, axis1=1, axis2=2))
+    return float(metrics.nees(error, P).mean()), float(inside.mean(axis=0).min())

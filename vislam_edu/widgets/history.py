@@ -242,36 +242,21 @@ def jacobian(belief, innovation, drive, error_state, pose):
     return H
 
 
-@dataclass(frozen=True, eq=False)
-class Frame:
-    """All measurements of one frame together: they share the errors of the prior.
+def joint(step, drive, error_state, rows, pose=None) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Some measurements of a step's frame together, rows (n,) bool: they share the errors of the prior.
 
-    P : (d, d), prior covariance. H : (n, 4, d). S : (n, 4, n, 4) px^2, H P H^T + V; V (px^2) is what the step's own S
-    of each measurement has beside H P H^T. residual : (n, 4) px.
+    pose : (4, 4), where it was given to the filter. Returns the prior covariance P (d, d), H (m, d), S (m, m) px^2 =
+    H P H^T + V, and the residual (m,) px; V is what the step's own S of each measurement has beside H P H^T.
     """
-
-    P: np.ndarray
-    H: np.ndarray
-    S: np.ndarray
-    residual: np.ndarray
-
-    @classmethod
-    def of(cls, step, drive, error_state, pose=None) -> "Frame":
-        """The frame of a step. pose : (4, 4), where it was given to the filter."""
-        seen, n = step.innovation, len(step.innovation.ids)
-        H, P, each = jacobian(step.prior, seen, drive, error_state, pose), step.prior.covariance, np.arange(n)
-        if hasattr(step.prior, "seen"):
-            P = np.zeros((n, 3, n, 3))
-            P[each, :, each] = step.prior.covariance[seen.ids]
-            P = P.reshape(3 * n, 3 * n)
-        S = (H.reshape(4 * n, -1) @ P @ H.reshape(4 * n, -1).T).reshape(n, 4, n, 4)
-        S[each, :, each] = seen.covariance
-        return cls(P, H, S, seen.residual)
-
-    def part(self, rows) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """H (m, d), S (m, m) and residual (m,) of some measurements. rows : (n,) bool."""
-        m = 4 * int(rows.sum())
-        return self.H[rows].reshape(m, -1), self.S[rows][:, :, rows].reshape(m, m), self.residual[rows].ravel()
+    seen, n, m = step.innovation, len(step.innovation.ids), 4 * int(rows.sum())
+    H, P, each = jacobian(step.prior, seen, drive, error_state, pose), step.prior.covariance, np.arange(n)
+    if hasattr(step.prior, "seen"):
+        P = np.zeros((n, 3, n, 3))
+        P[each, :, each] = step.prior.covariance[seen.ids]
+        P = P.reshape(3 * n, 3 * n)
+    S = (H.reshape(4 * n, -1) @ P @ H.reshape(4 * n, -1).T).reshape(n, 4, n, 4)
+    S[each, :, each] = seen.covariance
+    return P, H[rows].reshape(m, -1), S[rows][:, :, rows].reshape(m, m), seen.residual[rows].ravel()
 
 
 def frame_nis(step: Step, drive: Drive, error_state: ErrorState, pose=None) -> tuple[float, int]:
@@ -282,7 +267,7 @@ def frame_nis(step: Step, drive: Drive, error_state: ErrorState, pose=None) -> t
     rows = np.isfinite(step.innovation.nis)
     if not rows.any():
         return np.nan, 0
-    _, S, residual = Frame.of(step, drive, error_state, pose).part(rows)
+    _, _, S, residual = joint(step, drive, error_state, rows, pose)
     return float(kalman.nis(residual, S)), len(residual)
 
 
@@ -294,9 +279,8 @@ def pulls(step: Step, drive: Drive, error_state: ErrorState) -> np.ndarray:
     prior, good = step.prior, step.innovation.accepted
     contribution = np.zeros((len(good), 6))
     if good.any():
-        frame = Frame.of(step, drive, error_state)
-        H, S, residual = frame.part(good)
-        K = frame.P @ np.linalg.solve(S, H).T
+        P, H, S, residual = joint(step, drive, error_state, good)
+        K = P @ np.linalg.solve(S, H).T
         of_pose = slice(3 * len(prior.ids), 3 * len(prior.ids) + 6) if hasattr(prior, "ids") else slice(0, 6)
         # K's columns in blocks of four, one block for each measurement
         each = np.einsum("anr,nr->na", K[of_pose].reshape(6, -1, 4), residual.reshape(-1, 4))

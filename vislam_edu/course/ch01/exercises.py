@@ -12,7 +12,7 @@ _SMALL = "Below a small angle, 1e-6 rad say, use the limits: sin t / t is 1, (1 
 
 def rotation_vectors(rng):
     yield "no rotation", (np.zeros(3),)
-    for angle in (1e-9, 1e-4, 0.01, 0.1):
+    for angle in (1e-13, 1e-4, 0.01, 0.1):
         yield f"{angle:g} rad", (np.array([0.0, angle, 0.0]),)
     yield "quarter turn", (np.array([0.0, 0.0, np.pi / 2]),)
     yield "3.1 rad", (np.array([0.0, 3.1, 0.0]),)
@@ -22,7 +22,7 @@ def rotation_vectors(rng):
 
 def twists(rng):
     yield "no rotation", (np.array([1.0, 2.0, 3.0, 0.0, 0.0, 0.0]),)
-    for angle in (1e-9, 1e-4, 0.01, 0.1):
+    for angle in (1e-13, 1e-4, 0.01, 0.1):
         yield f"{angle:g} rad", (np.array([1.0, 2.0, 3.0, 0.0, 0.0, angle]),)
     yield "quarter turn", (np.array([1.0, 0.0, 0.0, 0.0, 0.0, np.pi / 2]),)
     for _ in range(8):
@@ -154,6 +154,8 @@ se3_exp.slip("first order only", "I + xi^ is only the beginning of the series; i
     ("R = se3.so3_exp(omega)", "R = np.eye(3) + S"), ("V @ v", "v"))
 se3_exp.slip("series cut off", """I + X + X X / 2 with X = xi^ is good for small angles only: its upper left block is no
     rotation.""", ("R = se3.so3_exp(omega)", "R = np.eye(3) + S + S @ S / 2"), ("if t > 1e-6:", "if False:"))
+se3_exp.slip("identity of V forgotten", """V = I + (1 - cos t) / t^2 S + ...: without turning, the translation is v
+    itself.""", ("V = np.eye(3) + (1 -", "V = (1 -"))
 
 
 def poses(rng):

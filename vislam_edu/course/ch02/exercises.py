@@ -91,6 +91,8 @@ triangulate_bearings.slip("expressed in camera 2", """This is the point in the f
     first bearing, times that bearing, tells it in camera 1.""", ("depth * z1", "R.T @ (depth * z1 - p)"))
 triangulate_bearings.slip("first depth on the second bearing", """l1 is the depth along z1. Times z2 it is no point that
     anyone sees.""", ("* z1", "* z2"))
+triangulate_bearings.slip("depth taken for the distance", """The depth multiplies the bearing z1, whose third entry is
+    1, not the unit vector along it.""", ("return depth * z1", "return depth * z1 / np.linalg.norm(z1)"))
 
 
 def stereo_pixels(rng):
@@ -148,6 +150,8 @@ triangulate.slip("principal point forgotten", "u is counted from the corner of t
     ("(u_left - K[0, 2])", "u_left"), ("(v_left - K[1, 2])", "v_left"))
 triangulate.slip("mask the other way round", "ok says which measurements are points: True where d > 0.",
     ("d > 0", "d <= 0"))
+triangulate.slip("axes of the body", "The points are asked for in the left camera: x right, y down, z forward.",
+    ("[x, y, z]", "[z, -x, -y]"))
 
 
 def points_and_sigma(rng):

@@ -53,6 +53,34 @@ class FilterRun:
         return float(np.linalg.norm(self.error[-1, :3]))
 
 
+def filtered(drive, world_T_imu, noise, sigma_v=_TRUE.sigma_v, sigma_omega=_TRUE.sigma_omega, sigma_px=_TRUE.sigma_px,
+             start=1.0, report_birth=False, invariant=False) -> FilterRun:
+    """The joint filter without a gate, run with one setting of `CONTROLS`.
+
+    drive : Drive with truth. world_T_imu : (4, 4), where it believes to start. noise : Noise, whose initial covariance
+    is multiplied by start**2.
+    """
+    believed = Noise(sigma_v, sigma_omega, sigma_px, start**2 * noise.initial_pose_covariance, noise.landmark_prior)
+    error_state = RightInvariant() if invariant else RightPerturbation()
+    process_frame = window_slam.as_report if report_birth else window_slam.correlated
+    steps = list(window_slam.run(drive, believed, error_state, process_frame=process_frame, gate=1,
+                                 world_T_imu=world_T_imu))
+    run = record(steps, error_state)
+    poses, right = run.world_T_imu, run.right_covariance
+    R = poses[:, :3, :3]
+    nis, numbers = np.transpose([frame_nis(step, drive, error_state) for step in steps])
+    truth = drive.true_world_T_imu
+    return FilterRun(
+        poses,
+        RightPerturbation().pose_difference(truth, poses),
+        np.sqrt(np.diagonal(right, axis1=1, axis2=2)),
+        (R @ right[:, :3, :3] @ R.swapaxes(1, 2))[:, :2, :2],
+        run.nees(truth),
+        nis / np.where(numbers > 0, numbers, np.nan),
+        run.mean_nis,
+    )
+
+
 class TuningPicture(Picture):
     """A drive filtered with the noise that the sliders say: map, errors and bands, NEES and NIS through time.
 
@@ -79,30 +107,8 @@ class TuningPicture(Picture):
         """The run that the controls stand for, done once and kept. What is not given is as at the start."""
         key = tuple((self.start | state).values())
         if key not in self._outcomes:
-            self._outcomes[key] = self._run(*key)
+            self._outcomes[key] = filtered(self.drive, self.world_T_imu, self.noise, **self.start | state)
         return self._outcomes[key]
-
-    def _run(self, sigma_v, sigma_omega, sigma_px, start, report_birth, invariant):
-        covariance = start**2 * self.noise.initial_pose_covariance
-        noise = Noise(sigma_v, sigma_omega, sigma_px, covariance, self.noise.landmark_prior)
-        error_state = RightInvariant() if invariant else RightPerturbation()
-        process_frame = window_slam.as_report if report_birth else window_slam.correlated
-        steps = list(window_slam.run(self.drive, noise, error_state, process_frame=process_frame, gate=1,
-                                     world_T_imu=self.world_T_imu))
-        run = record(steps, error_state)
-        poses, right = run.world_T_imu, run.right_covariance
-        R = poses[:, :3, :3]
-        nis, numbers = np.transpose([frame_nis(step, self.drive, error_state) for step in steps])
-        truth = self.drive.true_world_T_imu
-        return FilterRun(
-            poses,
-            RightPerturbation().pose_difference(truth, poses),
-            np.sqrt(np.diagonal(right, axis1=1, axis2=2)),
-            (R @ right[:, :3, :3] @ R.swapaxes(1, 2))[:, :2, :2],
-            run.nees(truth),
-            nis / np.where(numbers > 0, numbers, np.nan),
-            run.mean_nis,
-        )
 
     def build(self):
         """Map; below it two errors, the NEES and the NIS."""

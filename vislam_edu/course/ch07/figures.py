@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ...plots import drawing, style
+from ...plots import drawing, style, two_digits
 
 
 @style.styled
@@ -20,3 +20,21 @@ def ranks(ranks, n):
     full = {name: 1 + int(np.argmax(rank == 3 * n + 6)) for name, rank in ranks.items() if max(rank) == 3 * n + 6}
     found = "; ".join(f"{name}: full rank after {frame} frames" for name, frame in full.items())
     return drawing.finish(figure, found or "The rank stays at 3n")
+
+
+@style.styled
+def regimes(study, names):
+    """Mean NEES of the pose in each regime. study : of `summary.json`'s regimes. names : {filter: words}."""
+    figure, axes = drawing.new_figure(4.0)
+    for name, marker, colour in zip(names, "os^", ("batch", "invariant", "slam")):
+        nees = [figures["filters"][name]["nees_pose"] for figures in study.values()]
+        axes.plot(nees, range(len(study)), marker, ms=5, color=style.COLOURS[colour], label=names[name])
+    axes.axvline(6, color=style.COLOURS["expected"], linewidth=0.8)
+    axes.set(xscale="log", xlabel="mean NEES of the pose; line: 6, which is right", ylim=(len(study) - 0.5, -0.5))
+    axes.set_yticks(range(len(study)), [name.replace("_", " ") for name in study], fontsize=9)
+    box = axes.get_position()
+    axes.set_position((0.17, box.y0, box.x1 - 0.17, box.height))  # room for the names
+    worst = {words: max(figures["filters"][name]["nees_pose"] for figures in study.values())
+             for name, words in names.items()}
+    return drawing.finish(figure, "Largest mean NEES: " + "; ".join(f"{words} {two_digits(most)}"
+                                                                    for words, most in worst.items()))

@@ -137,6 +137,10 @@ first_estimates_jacobian.slip("landmark as now estimated", """The landmark too i
     variable in H has one point for good.""", ("first_landmark)", "landmark)"))
 first_estimates_jacobian.slip("pose as now estimated", """The pose too: its point is the prediction, whatever an update
     has made of it since.""", ("inverse(first_pose)", "inverse(pose)"), ("first_pose[:3", "pose[:3"))
+first_estimates_jacobian.slip("position in the world", """A right perturbation moves the IMU along its own axes: the
+    position's block is -J.""", ("-J,", "-J @ first_pose[:3, :3].T,"))
+first_estimates_jacobian.slip("s not turned into the body", """s = R^T (m - p): the landmark as the IMU has it, along
+    its own axes.""", ("se3.transform(se3.inverse(first_pose), first_landmark)", "first_landmark - first_pose[:3, 3]"))
 
 
 def _sheets(rng):

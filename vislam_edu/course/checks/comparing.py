@@ -1,5 +1,7 @@
 """Are two results the same, and if not, how to say so in numbers that read the same on every machine."""
 
+import contextlib
+
 import numpy as np
 
 ROUGH = 1e-4  # relative tolerance where the answer came in float32, which holds 7 digits
@@ -32,6 +34,18 @@ def close(came, should, tolerance) -> bool:
         return False
     scale = np.abs(should[finite]).max(initial=0.0) or 1.0
     return bool(np.all(np.abs(came[finite] - should[finite]) <= tolerance * scale))
+
+
+def same(exercise, outcome, values) -> list[bool]:
+    """For each result, whether that of an outcome is the same as these values."""
+    if outcome.values is None:
+        return [False] * len(values)
+    tolerance = exercise.tolerance if outcome.precise else ROUGH
+    came, should = outcome.values, values
+    if all(a.shape == np.shape(b) for a, b in zip(came, should)):
+        with contextlib.suppress(ValueError, IndexError):  # made for results of the right shape
+            came, should = canonical(exercise, came), canonical(exercise, should)
+    return [a.shape == np.shape(b) and close(a, np.asarray(b), tolerance) for a, b in zip(came, should)]
 
 
 def _shapes(exercise, name, came, should) -> str:

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from . import mutants, transforms
-from .comparing import ROUGH, canonical, close
+from .comparing import ROUGH, close, same
 from .edit import wrong_source
 from .exercise import Exercise, Mistake
 from .running import Outcome, outcome_of, within
@@ -247,18 +247,6 @@ def _both(piece: Mistake, mutant: mutants.Mutant) -> Callable[[], str]:
 
 def _piece(mistake: Mistake) -> Candidate:
     return Candidate(f"with this mistake: {mistake.name}", mistake.function, mistake.lines)
-
-
-def same(exercise, outcome, values) -> list[bool]:
-    """For each result, whether the outcome's is the same as these values."""
-    if outcome.values is None:
-        return [False] * len(values)
-    tolerance = exercise.tolerance if outcome.precise else ROUGH
-    came, should = outcome.values, values
-    if all(a.shape == np.shape(b) for a, b in zip(came, should)):
-        with contextlib.suppress(ValueError, IndexError):  # made for results of the right shape
-            came, should = canonical(exercise, came), canonical(exercise, should)
-    return [a.shape == np.shape(b) and close(a, np.asarray(b), tolerance) for a, b in zip(came, should)]
 
 
 def explain(exercise, cases, outcomes, expected, simple=False) -> list[Explanation]:

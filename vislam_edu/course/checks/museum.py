@@ -8,7 +8,7 @@ import textwrap
 
 import numpy as np
 
-from .comparing import ROUGH, canonical, close, differs
+from .comparing import differs, same
 from .exercise import EXERCISES
 from .running import Outcome, outcome_of
 
@@ -24,12 +24,12 @@ def recognise(exercise, cases, outcomes, expected):
     pieces, best, most = [], None, 0
     for mistake in exercise.mistakes:
         with np.errstate(all="ignore"):
-            same = [_same(exercise, outcome, outcome_of(exercise, mistake.function, arguments))
+            fits = [_same(exercise, outcome, outcome_of(exercise, mistake.function, arguments))
                     for outcome, (_, arguments) in zip(outcomes, cases)]
-        explained = sum(same[i] for i in wrong)
-        if wrong and all(same):
+        explained = sum(fits[i] for i in wrong)
+        if wrong and all(fits):
             pieces.append(mistake)
-        elif explained > most and same[wrong[0]] and 2 * explained >= len(wrong):
+        elif explained > most and fits[wrong[0]] and 2 * explained >= len(wrong):
             best, most = mistake, explained
     return pieces, None if pieces else best
 
@@ -39,11 +39,7 @@ def _same(exercise, outcome, piece: Outcome) -> bool:
         return piece.values is not None and not all(np.isfinite(value).all() for value in piece.values)
     if outcome.values is None or piece.values is None:
         return type(outcome.error) is type(piece.error) and outcome.values is piece.values
-    if any(a.shape != b.shape for a, b in zip(outcome.values, piece.values)):
-        return False
-    tolerance = exercise.tolerance if outcome.precise else ROUGH
-    return all(close(a, b, tolerance) for a, b in zip(canonical(exercise, outcome.values),
-                                                      canonical(exercise, piece.values)))
+    return all(same(exercise, outcome, piece.values))
 
 
 def table(width=110) -> str:

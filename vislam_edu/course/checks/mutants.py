@@ -160,7 +160,7 @@ def _changes(tree, known) -> list[_Change]:
                     continue
                 if isinstance(node, ast.stmt):
                     changes = _of_statement(node)
-                elif isinstance(node, ast.expr) and not isinstance(node, ast.Slice) and \
+                elif isinstance(node, ast.expr) and not isinstance(node, ast.Slice | ast.Starred) and \
                         isinstance(getattr(node, "ctx", ast.Load()), ast.Load):
                     changes = _of_expression(node, parent, list(names))
                 else:

@@ -209,12 +209,6 @@ def copied(argument):
     return argument if isinstance(argument, bool | int | float) else copy.deepcopy(argument)
 
 
-def arrays(result, names) -> tuple[list, bool]:
-    """A result as a list of float arrays, and whether all of them came with 64 bits. Raises Unreadable."""
-    values, precise, _ = read(result, names)
-    return values, precise
-
-
 def read(result, names) -> tuple[list, bool, tuple[str, ...]]:
     """A result as a list of float arrays, whether all came with 64 bits, and remarks. Raises Unreadable."""
     remarks: dict[str, None] = {}

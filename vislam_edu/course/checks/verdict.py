@@ -1,17 +1,17 @@
 """The verdict on an answer: right, not written yet, or wrong, and then why."""
 
+import inspect
 import textwrap
 from collections import Counter
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 from . import museum, right_parts, slips, surroundings
-from .comparing import argument, differs
+from .comparing import argument, differs, same
 from .exercise import Exercise, short
-from .explain import VAGUE, explain, same
+from .explain import VAGUE, explain
 from .picture import Picture, picture_of
-from .running import LIMIT, Outcome, answers, arrays, copied, error_message, written
+from .running import LIMIT, Outcome, answers, copied, error_message, read, written
 
 RIGHT, NOT_WRITTEN, WRONG = "right", "not written yet", "wrong"
 
@@ -45,38 +45,63 @@ def judge(exercise: Exercise, function, limit=LIMIT) -> Verdict:
     name = exercise.name
     if not callable(function):
         return Verdict(name, WRONG, f"{name}: give the function itself, without calling it: check.{name}({name})")
-    rebound = surroundings.restored()
-    outcomes, ended = answers(exercise, function, exercise.inputs(), limit)
-    rebound += surroundings.restored()  # before anything of ours is called again
-
-    def clues(i):
-        found = slips.clues(exercise, function, outcomes, i, limit)
-        rebound.extend(surroundings.restored())
-        return found
-
-    return concluded(exercise, outcomes, ended, written(function), rebound, clues, limit)
+    return concluded(exercise, attempt(exercise, function, limit), limit)
 
 
-def concluded(exercise: Exercise, outcomes: list[Outcome], ended: str, is_written: bool, rebound: list[str],
-              clues: Callable[[int], tuple[str, str]], limit: float = LIMIT) -> Verdict:
-    """The verdict on what an answer did, which needs nothing of the answer itself: see `running.answers`.
+@dataclass(frozen=True, eq=False)
+class Attempt:
+    """What an answer did: all that a verdict needs, and nothing of the answer itself.
 
-    is_written : more than a stub. rebound : names of functions that it changed. clues : from the input that is wrong
-    to what `slips.clues` says of it. limit : s, that it had.
+    outcomes, ended : see `running.answers`. is_written : more than a stub. rebound : names of what it changed.
+    slip, unused : see `slips.clues`.
     """
-    verdict = _judged(exercise, outcomes, ended, is_written, clues, limit)
-    if rebound:
-        changed = f"Your code has changed {', '.join(sorted({*rebound})[:4])}: put back, so that other checks work."
-        verdict = replace(verdict, text=f"{verdict.text}\n{changed}")
+
+    outcomes: list[Outcome]
+    ended: str
+    is_written: bool
+    rebound: list[str]
+    slip: str = ""
+    unused: str = ""
+
+
+def attempt(exercise: Exercise, function, limit: float = LIMIT) -> Attempt:
+    """Put an answer to all inputs of its exercise. limit : s of CPU time, for all of them together."""
+    rebound = surroundings.restored()
+    cases = exercise.inputs()
+    outcomes, ended = answers(exercise, function, cases, limit)
+    rebound += surroundings.restored()  # before anything of ours is called again
+    own = inspect.unwrap(function)  # the grader watches it from outside
+    made = Attempt(outcomes, ended, written(own), rebound)
+    if any(outcome.blank for outcome in outcomes):
+        return made
+    reasons = map(_reason, [exercise] * len(cases), outcomes, _expected(exercise, cases))
+    first = next((i for i, reason in enumerate(reasons) if reason), None)
+    if first is None:
+        return made
+    slip, unused = slips.clues(exercise, own, outcomes, first, limit)
+    return replace(made, rebound=rebound + surroundings.restored(), slip=slip, unused=unused)
+
+
+def _expected(exercise, cases) -> list:
+    return [read(exercise.expected(*map(copied, arguments)), exercise.outputs)[0] for _, arguments in cases]
+
+
+def concluded(exercise: Exercise, made: Attempt, limit: float = LIMIT) -> Verdict:
+    """The verdict on an attempt. limit : s, that it had."""
+    verdict = _judged(exercise, made, limit)
+    if made.rebound:
+        names = ", ".join(sorted({*made.rebound})[:4])
+        verdict = replace(verdict, text=f"{verdict.text}\nYour code has changed {names}: put back, so that other "
+                                        "checks work.")
     return verdict
 
 
-def _judged(exercise: Exercise, outcomes, ended, is_written, clues, limit) -> Verdict:
-    name = exercise.name
+def _judged(exercise: Exercise, made: Attempt, limit) -> Verdict:
+    name, outcomes, ended = exercise.name, made.outcomes, made.ended
     cases = exercise.inputs()
-    expected = [arrays(exercise.expected(*map(copied, arguments)), exercise.outputs)[0] for _, arguments in cases]
+    expected = _expected(exercise, cases)
     if any(outcome.blank for outcome in outcomes):
-        return _blank(exercise, is_written, outcomes)
+        return _blank(exercise, made.is_written, outcomes)
 
     reasons = [_reason(exercise, outcome, should) for outcome, should in zip(outcomes, expected)]
     failing = [i for i, reason in enumerate(reasons) if reason]
@@ -87,7 +112,7 @@ def _judged(exercise: Exercise, outcomes, ended, is_written, clues, limit) -> Ve
             "\n  (Your numbers have fewer than 64 bits and were compared to 1e-4; a filter needs float64.)"
         return Verdict(name, RIGHT, f"{name}: right, on {_tried(cases)}, "
                                     f"to {short(exercise.tolerance)} of the largest entry{rough}{_remarks(outcomes)}")
-    return _wrong(exercise, cases, outcomes, expected, reasons, clues(failing[0]))
+    return _wrong(exercise, made, cases, expected, reasons)
 
 
 def _reason(exercise, outcome, expected) -> str:
@@ -100,11 +125,12 @@ def _reason(exercise, outcome, expected) -> str:
     return reason
 
 
-def _wrong(exercise, cases, outcomes, expected, reasons, clues) -> Verdict:
+def _wrong(exercise, made, cases, expected, reasons) -> Verdict:
+    outcomes = made.outcomes
     first = next(i for i, reason in enumerate(reasons) if reason)
     label, arguments = cases[first]
     sames = [same(exercise, outcome, should) for outcome, should in zip(outcomes, expected)]
-    found = _causes(exercise, cases, outcomes, expected, sames, *clues)
+    found = _causes(exercise, made, cases, expected, sames)
     lines = [f"{exercise.name}: wrong, on input {first + 1} of {len(cases)} ({label})",
              *(argument(*pair) for pair in zip(exercise.arguments, arguments)), reasons[first], *found.said,
              _remarks(outcomes).strip(), f"To try this input: {exercise.name}(*check.{exercise.name}.failing)"]
@@ -124,7 +150,8 @@ class _Causes(NamedTuple):
     lines: str = ""
 
 
-def _causes(exercise, cases, outcomes, expected, sames, slip, unused) -> _Causes:
+def _causes(exercise, made, cases, expected, sames) -> _Causes:
+    outcomes, slip, unused = made.outcomes, made.slip, made.unused
     if slip:
         return _Causes([slip], slip)
     pieces, guess = museum.recognise(exercise, cases, outcomes, expected)

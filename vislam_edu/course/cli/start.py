@@ -1,5 +1,6 @@
 """`start`: a folder of one's own with the notebooks in it, opened in JupyterLab."""
 
+import json
 import subprocess
 import sys
 from collections.abc import Callable, Iterable
@@ -9,6 +10,7 @@ from pathlib import Path
 from ...cli import say
 from ...cli.arguments import OptionError
 from ...recordings import files, shipped
+from ..guesses import without_guessed_outputs
 
 FIRST = "00_start_here.ipynb"
 COPIED = ("notebooks/*.ipynb", "notebooks/images/*", "docs/notation.md", "docs/reading.md")
@@ -33,8 +35,16 @@ def run(arguments) -> int:
     return subprocess.call([sys.executable, "-m", "jupyterlab", root, str(first)])
 
 
+def to_start_with(path: Path) -> bytes:
+    """A file as a reader starts with it: in a notebook the results that are to be guessed are still to come."""
+    if path.suffix != ".ipynb":
+        return path.read_bytes()
+    notebook = without_guessed_outputs(json.loads(path.read_text(encoding="utf-8")))
+    return (json.dumps(notebook, ensure_ascii=False, indent=1, sort_keys=True) + "\n").encode()
+
+
 def copy_notebooks(folder: Path, patterns: Iterable[str] = COPIED,
-                   content: Callable[[Path], bytes] = Path.read_bytes) -> tuple[int, int]:
+                   content: Callable[[Path], bytes] = to_start_with) -> tuple[int, int]:
     """Copy the notebooks, their images and pages into a folder; a file that is there is never written over.
 
     patterns : of what is copied. content : what is written of a file. Returns how many were copied, how many there.

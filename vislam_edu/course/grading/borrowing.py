@@ -131,11 +131,14 @@ def _used_by_answers(exercise: Exercise) -> set[str]:
 
 
 def asks_for_solution(sources: Iterable[str], name: str, here: bool) -> bool:
-    """Whether the last definition of a function speaks of `EXERCISES` or `solution`; any cell, if none holds it."""
+    """Whether the last definition of a function calls `EXERCISES` or `solution`; where no cell holds it, any cell."""
     node = definitions(sources).get(name)
     if not here or node is None:
-        return any(re.search(r"\b(?:EXERCISES|solution)\b", source) for source in sources)
-    return any(getattr(part, "id", getattr(part, "name", "")) in ("EXERCISES", "solution") for part in ast.walk(node))
+        return any(re.search(r"\bEXERCISES\b|\bsolution\(", source) for source in sources)
+    calls = {part.func.id for part in ast.walk(node) if isinstance(part, ast.Call) and isinstance(part.func, ast.Name)}
+    items = {part.value.id for part in ast.walk(node)
+             if isinstance(part, ast.Subscript) and isinstance(part.value, ast.Name)}
+    return "solution" in calls or "EXERCISES" in items
 
 
 def definitions(sources: Iterable[str]) -> dict[str, ast.FunctionDef]:

@@ -154,7 +154,8 @@ def grade(notebook: Notebook, limit: float = LIMIT, sandbox: Sandbox | None = No
     with _JUDGING:
         found, notes = _judged(entries, cells)
     errors = {entry["cell"]: shown(entry["error"]) for entry in entries if "cell" in entry}
-    checked = {exercise: errors.get(number, "") for number, source in enumerate(cells)
+    failed = {entry["exercise"]: shown(entry["error"]) for entry in entries if {"exercise", "error"} <= entry.keys()}
+    checked = {exercise: errors.get(number) or failed.get(exercise, "") for number, source in enumerate(cells)
                for exercise in _CALL.findall(source)}
     return Submission(name, [
         found.get(exercise) or (Result(exercise, NO_VERDICT, detail=checked[exercise]) if exercise in checked
@@ -180,7 +181,7 @@ def _expected(path, cells, checked) -> list[str]:
 def _run(folder, scratch, key, limit, sandbox, hidden, stop) -> str:
     """Run a notebook, wait for it and end all that it has started. Returns the problem, "" if it ran to its end."""
     token = scratch.name
-    own = {"VISLAM_EDU_GRADING": token, "IPYTHONDIR": str(scratch), "OPENBLAS_NUM_THREADS": "1",
+    own = {"IPYTHONDIR": str(scratch), "OPENBLAS_NUM_THREADS": "1",
            "MPLBACKEND": "module://matplotlib_inline.backend_inline"}
     environment = {key: value for key, value in os.environ.items() if key.upper() in _PASSED_ON} | own
     python = ["-P", "-c", _RUN, str(folder), str(scratch), str(int(limit) + 10)]
@@ -258,7 +259,7 @@ def _judged(entries, cells) -> tuple[dict[str, Result], list[str]]:
         name = entry.get("exercise")
         if "score" in entry:
             scores[name] = entry["score"]
-        elif "outcomes" in entry:
+        elif "attempt" in entry:
             results[name] = _result(EXERCISES[name], entry, cells)
             if entry.get("here") is False and results[name].status == RIGHT:
                 notes.append(f"{name} is not defined in a cell")
@@ -268,13 +269,11 @@ def _judged(entries, cells) -> tuple[dict[str, Result], list[str]]:
 
 
 def _result(exercise, entry, cells) -> Result:
-    if entry["outcomes"] is None:
+    if entry["attempt"] is None:
         verdict = judge(exercise, None)
     else:
         try:
-            slip, unused = map(shown, entry["clues"])
-            verdict = concluded(exercise, list(map(submission.received, entry["outcomes"])), entry["ended"],
-                                entry["is_written"], entry["rebound"], lambda _: (slip, unused))
+            verdict = concluded(exercise, submission.received(entry["attempt"]))
         except Exception as error:  # arrays of numbers can still be such that mathematics fails on them
             return Result(exercise.name, NO_VERDICT, detail=f"not judged: {shown(error)}")
     if verdict.right:

@@ -57,8 +57,8 @@ class Person:
     def keys(self) -> set[str]:
         """What a folder or file of this student may be called."""
         last, comma, first = self.name.partition(",")
-        names = (self.full, f"{self.last}{self.first}", f"{first}{last}" if comma else "", self.number, self.login,
-                 self.email, self.email.partition("@")[0])
+        names = (self.full, f"{self.last}{self.first}", f"{first}{last}" if comma else "", self.id, self.number,
+                 self.login, self.email, self.email.partition("@")[0])
         return {_plain(name) for name in names} - {""}
 
 
@@ -86,6 +86,11 @@ def roster(path: Path) -> list[Person]:
                            for key, names in _COLUMNS.items()})
         if person.full and "Points Possible" not in person.full:
             people.append(person)
+        try:
+            datetime.fromisoformat(person.submitted or "2026-01-01")
+        except ValueError:
+            raise OptionError(f"{path}: submitted must be a time such as 2026-05-01T23:59, got "
+                              f"{shown(person.submitted)!r} for {shown(person.full)}") from None
     if not people:
         raise OptionError(f"{path}: no student in it; a roster has the columns name (or first name, last name), id, "
                           "email")
@@ -154,29 +159,32 @@ def rows(submissions: Iterable[Submission], people: Sequence[Person] = (), point
 def _add_up(row, points, due, penalty, best) -> None:
     if not row.submissions:
         row.remarks.append("nothing handed in")
-    handed, groups = row.submissions, defaultdict(list)
-    for submission in handed:
+    chapters: dict[int, list[Submission]] = defaultdict(list)
+    for submission in row.submissions:
         if submission.problem:
             row.remarks.append(f"{submission.name}: {submission.problem}")
-        if submission.results:
-            groups[frozenset(result.chapter for result in submission.results)].append(submission)
+        for chapter in dict.fromkeys(result.chapter for result in submission.results):
+            chapters[chapter].append(submission)
 
-    def of(submission) -> float:
-        return sum(points.get(result.exercise, 0.0) for result in submission.results if result.status == RIGHT)
+    def earned(submission, chapter) -> dict[str, float]:
+        return {result.exercise: points.get(result.exercise, 0.0) * (result.status == RIGHT)
+                for result in submission.results if result.chapter == chapter}
 
     row.submissions = []
-    for versions in groups.values():
-        chosen = max(versions, key=lambda one: (of(one) if best else 0.0, one.time, one.name))
-        row.submissions.append(chosen)
+    for chapter, versions in chapters.items():
+        chosen = max(versions, key=lambda one: (
+            sum(earned(one, chapter).values()) if best else 0.0, one.time, one.name))
+        if chosen not in row.submissions:
+            row.submissions.append(chosen)
         if len(versions) > 1:
-            row.remarks.append(f"{'best' if best else 'newest'} of {len(versions)}: {chosen.name}")
-        for result in chosen.results:
-            row.points[result.exercise] = points.get(result.exercise, 0.0) if result.status == RIGHT else 0.0
+            row.remarks.append(f"chapter {chapter}, {'best' if best else 'newest'} of {len(versions)}: {chosen.name}")
+        own = earned(chosen, chapter)
         given = row.person.submitted if row.person else ""
         time = datetime.fromisoformat(given).timestamp() if given else chosen.time
         late = max(0, math.ceil((time - due.timestamp()) / DAY)) if due else 0
         row.late = max(row.late, late)
-        row.total += of(chosen) * max(0.0, 1 - penalty / 100 * late)
+        row.points |= own
+        row.total += sum(own.values()) * max(0.0, 1 - penalty / 100 * late)
 
 
 def write(found: Sequence[Row], points: Mapping[str, float], folder: Path, system: str = "csv",

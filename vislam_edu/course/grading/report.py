@@ -153,7 +153,8 @@ def feedback(student: str, submissions: Iterable[Submission]) -> str:
                 lines += [f"| {row['drive']} | " + " | ".join(
                     "" if row[key] is None else f"{row[key]:.2f}" for key in (
                         "mine_ate", "agreed_ate", "mine_nees", "agreed_nees"))
-                    + f" | {row['problem'] or 'like the agreed filter, or better'} |" for row in result.score["drives"]]
+                    + f" | {_escaped(row['problem'] or 'like the agreed filter, or better')} |"
+                    for row in result.score["drives"]]
     return "\n".join(lines)
 
 

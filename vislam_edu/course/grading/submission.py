@@ -20,8 +20,9 @@ from pathlib import Path
 import numpy as np
 
 from ..ch13 import capstone
-from ..checks import slips, surroundings
-from ..checks.running import LIMIT, Outcome, Unreadable, answers, error_message, written
+from ..checks import surroundings
+from ..checks.running import Outcome, Unreadable, error_message
+from ..checks.verdict import Attempt, attempt
 from ..exercises import EXERCISES
 from . import borrowing
 
@@ -131,8 +132,9 @@ def _followed(name: str, call: ast.Call, namespace: dict) -> dict:
         if name == "score":
             if not borrowing.in_notebook(function):  # the agreed filter is nobody's answer
                 return {}
+            surroundings.restored()  # of numpy there is only one
             return {"exercise": "filter_run", "score": capstone.scored(function, *others, **options).figures}
-        return {"exercise": name} | (tried(name, function) if callable(function) else {"outcomes": None})
+        return {"exercise": name} | (tried(name, function) if callable(function) else {"attempt": None})
     except BaseException as error:  # SystemExit included: the cell may mean to end the kernel
         return {"exercise": name, "error": _described(error)}
 
@@ -145,18 +147,14 @@ def _value(node, namespace):
 
 
 def tried(name: str, function: Callable) -> dict:
-    """A function put to all inputs of an exercise: what `verdict.concluded` needs, as JSON can hold it.
+    """A function put to all inputs of an exercise: its `Attempt` as JSON can hold it.
 
     uses : names of the functions of the package that it calls directly. here : whether its code is in the notebook.
     """
-    exercise = EXERCISES[name]
     uses: set[str] = set()
-    rebound = surroundings.restored()
-    outcomes, ended = answers(exercise, borrowing.watched(function, uses), exercise.inputs())
-    clues = slips.clues(exercise, function, outcomes, 0, LIMIT) if outcomes else ("", "")
-    rebound += surroundings.restored()
-    return {"outcomes": list(map(_sent, outcomes)), "ended": ended, "is_written": written(function),
-            "rebound": rebound, "clues": clues, "uses": sorted(uses), "here": borrowing.in_notebook(function)}
+    made = attempt(EXERCISES[name], borrowing.watched(function, uses))
+    return {"attempt": vars(made) | {"outcomes": list(map(_sent, made.outcomes))}, "uses": sorted(uses),
+            "here": borrowing.in_notebook(function)}
 
 
 def _sent(outcome: Outcome) -> dict:
@@ -168,8 +166,12 @@ def _sent(outcome: Outcome) -> dict:
         "error": error and [type(error).__name__, _words(error), error_message(error)]}
 
 
-def received(content: dict) -> Outcome:
-    """The outcome that `tried` has sent. Raises ValueError, TypeError and KeyError for what it would not send."""
+def received(content: dict) -> Attempt:
+    """The attempt that `tried` has sent."""
+    return Attempt(**content | {"outcomes": list(map(_outcome, content["outcomes"]))})
+
+
+def _outcome(content) -> Outcome:
     values, error = content["values"], content["error"]
     return Outcome(**content | {
         "values": values and [np.frombuffer(bytes.fromhex(numbers)).reshape(shape) for shape, numbers in values],
