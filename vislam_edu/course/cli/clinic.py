@@ -5,8 +5,9 @@ import os
 import secrets
 from pathlib import Path
 
+from ...cli import say
 from ...cli.arguments import OptionError, whole
-from ...recordings.files import shown, write_csv, write_text
+from ...recordings.files import made_folder, shown, write_csv, write_text
 
 
 def add_arguments(parser):
@@ -25,10 +26,8 @@ def add_arguments(parser):
 
 def run(arguments) -> int:
     """Hand out or grade; returns the exit status. Raises OptionError for what is missing or cannot be read."""
-    arguments.out.mkdir(parents=True, exist_ok=True)
-    if arguments.what == "hand-out":
-        return _hand_out(arguments)
-    return _grade(arguments)
+    with made_folder(arguments.out):
+        return (_hand_out if arguments.what == "hand-out" else _grade)(arguments)
 
 
 def _hand_out(arguments) -> int:
@@ -42,16 +41,16 @@ def _hand_out(arguments) -> int:
     if not arguments.key.exists():
         with open(os.open(arguments.key, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w", encoding="utf-8") as file:
             file.write(secrets.token_hex(32) + "\n")
-        print(f"a new key was written to {arguments.key}: keep it from the students")
+        say(f"a new key was written to {arguments.key}: keep it from the students")
     key = _key(arguments.key)
     for student in arguments.students:
         path = arguments.out / f"case_{student}.json"
         if path.exists():
-            print(f"{path}: is there already and may hold answers, left as it is")
+            say(f"{path}: is there already and may hold answers, left as it is")
             continue
         cases = [clinic.case(student, number, arguments.level, key) for number in range(1, arguments.patients + 1)]
         write_text(path, json.dumps({"student": student, "level": arguments.level, "cases": cases}, indent=1) + "\n")
-        print(f"{len(cases)} patients for {student}: {path}")
+        say(f"{len(cases)} patients for {student}: {path}")
     return 0
 
 
@@ -72,8 +71,8 @@ def _grade(arguments) -> int:
     write_csv(arguments.out / "clinic.csv", columns, ([row.get(column, "") for column in columns] for row in rows))
     write_text(arguments.out / "clinic.json", json.dumps(rows, indent=2) + "\n")
     for row in rows:
-        print(f"{row['file']:24} {row.get('patient', ''):>3} {row.get('total', ''):>6}  {row.get('problem', '')}")
-    print(f"written to {arguments.out / 'clinic.csv'} and {arguments.out / 'clinic.json'}")
+        say(f"{row['file']:24} {row.get('patient', ''):>3} {row.get('total', ''):>6}  {row.get('problem', '')}")
+    say(f"written to {arguments.out / 'clinic.csv'} and {arguments.out / 'clinic.json'}")
     return 0
 
 
