@@ -99,10 +99,16 @@ def so3_log(R: ArrayLike) -> np.ndarray:
     Goes through the unit quaternion q = [w, x, y, z]: the trace and the skew part alone lose half of the digits near
     pi. 4 q q^T is linear in R; any of its rows is q times a number, and the row of the largest diagonal entry is the
     one that divides by nothing small. At exactly pi both signs of the axis are right; one is returned.
+    Raises ValueError for a matrix that is not a rotation: a reflection, or R^T R further than 1e-4 from the identity.
     Source: Shepperd, Quaternion from rotation matrix, 1978.
     """
     R = checked(R, (3, 3), "R")
     Rt = np.swapaxes(R, -1, -2)
+    wrong = (np.abs(Rt @ R - np.eye(3)).max(axis=(-2, -1)) > 1e-4) | (
+        np.vecdot(R[..., 0], np.cross(R[..., 1], R[..., 2])) < 0)
+    if wrong.any():
+        where = f"R{[int(i) for i in np.argwhere(wrong)[0]]}" if R.ndim > 2 else "R"
+        raise ValueError(f"{where} is not a rotation: R^T R must be the identity and det R = 1 (scaled? a reflection?)")
     trace = np.trace(R, axis1=-2, axis2=-1)
     qq = np.empty(R.shape[:-2] + (4, 4))
     qq[..., 0, 0] = 1.0 + trace
@@ -225,8 +231,13 @@ def exp(xi: ArrayLike) -> np.ndarray:
 
 
 def log(T: ArrayLike) -> np.ndarray:
-    """Twist whose `exp` is T, rotation angle in [0, pi]. T (..., 4, 4); returns (..., 6), m and rad."""
+    """Twist whose `exp` is T, rotation angle in [0, pi]. T (..., 4, 4); returns (..., 6), m and rad.
+
+    Raises ValueError for a matrix that is no pose, as `so3_log` does or for another last row than [0, 0, 0, 1].
+    """
     T = checked(T, (4, 4), "T")
+    if (np.abs(T[..., 3, :] - [0, 0, 0, 1]) > 1e-6).any():
+        raise ValueError("the last row of a pose must be [0, 0, 0, 1]: is it transposed?")
     phi = so3_log(T[..., :3, :3])
     return np.concatenate([np.matvec(so3_left_jacobian_inverse(phi), T[..., :3, 3]), phi], axis=-1)
 

@@ -1,6 +1,7 @@
 """The explorer in a real browser, in a page without a kernel: its numbers read back from the page."""
 
 import itertools
+import re
 
 import numpy as np
 import pytest
@@ -294,6 +295,33 @@ def test_all_controls_have_names(opened):
         e => e.ariaLabel || [...(e.labels || [])].map(l => l.textContent).join('')) """)
     assert all(names)
     assert all(page.evaluate("() => [...document.querySelectorAll('.vx canvas')].map(e => e.ariaLabel)"))
+
+
+def test_the_label_of_each_canvas_says_what_is_shown_now(opened, explorers, steps):
+    def labels(name):
+        found = opened_page.evaluate("() => [...document.querySelectorAll('.vx canvas')].map(e => e.ariaLabel)")
+        return next(label for label in found if label.startswith(name)).replace("\N{MINUS SIGN}", "-")
+
+    opened_page = opened("joint")
+    select(opened_page, "landmark", 13)
+    opened_page.get_by_label("half-step").focus()
+    for i in (I, I + 1):
+        belief = steps[i // 2].posterior if i % 2 else steps[i // 2].prior
+        heading = np.degrees(np.sqrt(belief.pose_covariance[5, 5]))
+        x, y = belief.world_T_imu[:2, 3]
+        assert f"car at {x:.3g}, {y:.3g} m, σ " in labels("map")
+        assert f"heading {heading:.3g}°; {len(belief.ids)} landmarks" in labels("map")
+        assert f"correlation of {len(belief.ids)} landmarks and the pose; landmark 13, " in labels("joint covariance")
+        sigma = np.sqrt(np.linalg.eigvalsh(belief.landmark_covariance[belief.ids.tolist().index(13)])[2])
+        assert f"landmark 13: longest σ {sigma:.3g} m" in labels("one landmark")
+        assert re.search(r"correlation: landmark \d+ -?\d\.\d\d, pose [a-z ]+ -?\d\.\d\d", labels("one landmark"))
+        press(opened_page, "ArrowRight")
+    select(opened_page, "matrix", "change")
+    assert ": change of" in labels("joint covariance")
+    opened_page = opened("mapping")
+    chosen = state(opened_page)["image"][0]["chosen"]
+    verdict = "accepted" if chosen["accepted"] else "kept out"
+    assert f"NIS {chosen['nis']:.3g} (4 numbers), {verdict}" in labels("left image")
 
 
 def test_ellipses_are_enlarged_and_it_zooms_pans_and_follows(opened):

@@ -334,3 +334,12 @@ def test_a_chain_joins_steps_one_after_the_other():
     assert np.allclose(path[0], start)
     assert np.allclose(path[-1], start @ steps[0] @ steps[1] @ steps[2])
     assert np.allclose(se3.inverse(path[:-1]) @ path[1:], steps)
+
+
+@pytest.mark.parametrize(("T", "words"), [
+    (np.diag([1.0, 1, -1, 1]), "R is not a rotation"), (np.diag([2.0, 2, 2, 1]), "R is not a rotation"),
+    (se3.pose(np.eye(3), [1.0, 2, 3]).T, "transposed"),
+    (np.array([np.eye(4), np.diag([1.0, -1, 1, 1])]), r"R\[1\] is not a rotation")])
+def test_the_logarithm_of_what_is_no_pose_is_refused(T, words):
+    with pytest.raises(ValueError, match=words):
+        se3.log(T)

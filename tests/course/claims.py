@@ -365,7 +365,7 @@ def report_values_cost_most(seed):
 
 @claim("05", "on six of eight streets", share=0.75, few=0)
 def report_birth_costs(seed):
-    return (rms_of(seed, "birth") > 2.5 * rms_of(seed, "right") and nees_of(seed, "birth") > 4 * nees_of(seed, "right"))
+    return rms_of(seed, "birth") > 2 * rms_of(seed, "right") and nees_of(seed, "birth") > 3.5 * nees_of(seed, "right")
 
 
 @claim("05", "its covariance is meaningless", few=0)

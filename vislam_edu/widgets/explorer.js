@@ -335,6 +335,10 @@ function drawMap(canvas, look, history, run) {
     shown.inset = drawPoseInset(ctx, look, history, run, { x: w - side - 4, y: 4, side });
   }
   shown.pose = [...shot.pose];
+  const [forward, left, heading] = shown.inset ? shown.inset.sigmas : [];
+  shown.words = `car at ${short(shot.pose[0])}, ${short(shot.pose[1])} m${shown.inset
+    ? `, σ ${metres(forward)} forward, ${metres(left)} left, heading ${short(heading * 180 / Math.PI)}°` : ""}; `
+    + `${shown.landmarks.length} landmarks`;
   return shown;
 }
 
@@ -649,7 +653,9 @@ function drawMatrix(canvas, look, history, run) {
     ctx.strokeRect(place.x + a, place.y, b - a, at(d));
   }
   drawColourBar(ctx, look, history, w, h);
-  return { reading: look.reading, d, ids: [...shot.ids], values, place: { x: place.x, y: place.y },
+  const words = `${look.reading} of ${n ? `${n} landmarks and ` : ""}the pose`
+    + (chosen < 0 ? "" : `; landmark ${look.chosen}, ${shares(run, shot, chosen)}`);
+  return { words, reading: look.reading, d, ids: [...shot.ids], values, place: { x: place.x, y: place.y },
     framed: chosen, centres: Array.from({ length: d }, (_, row) => (at(row) + at(row + 1)) / 2) };
 }
 
@@ -792,6 +798,7 @@ function drawLandmark(canvas, look, history, runs) {
   shown.words = words.map(([text]) => text).join("");
   if (at[0] >= 0 && runs[0].matrix) {
     shown.shares = shares(runs[0], now[0], at[0]);
+    shown.words += shown.shares;
     label(ctx, shown.shares + (runs.length > 1 ? `; dashed: ${runs[1].name}` : ""), 4, 24, look.ink, look.paper);
   }
   return shown;
@@ -1056,6 +1063,7 @@ function drawImage(canvas, look, history, run) {
   const one = seen.find((s) => s.id === look.chosen), top = y0 + k * height + 20;
   if (one) shown.chosen = drawInnovation(ctx, look, updated, one, { x: 6, y: top, w: w - 12, h: h - top - 4 });
   else label(ctx, "chosen landmark: not measured in this frame", x0, top + 12, look.ink, look.paper);
+  shown.words = `${seen.length} landmarks predicted and measured; ${one ? shown.chosen.words : "the chosen one not"}`;
   return shown;
 }
 
@@ -1088,7 +1096,7 @@ function drawInnovation(ctx, look, updated, s, area) {
     `S: σ ${short(Math.sqrt(s.S[0]))}, ${short(Math.sqrt(s.S[2]))} px`, `NIS ${short(s.nis)} (4 numbers)`,
     s.accepted ? "accepted" : "kept out by the gate", updated ? "× after the update" : "× predicted"];
   words.forEach((line, j) => label(ctx, line, area.x + side + 10, area.y + 12 + 14 * j, j === 0 ? c.measured : look.ink, look.paper));
-  return { innovation: r, S: s.S, nis: s.nis, accepted: s.accepted };
+  return { words: words.slice(0, 5).join(", "), innovation: r, S: s.S, nis: s.nis, accepted: s.accepted };
 }
 
 // ----------------------------------------------------------------------------------------------- controls

@@ -87,7 +87,7 @@ class WhatIf(ipywidgets.VBox):
         self._run()
 
     def _run(self):
-        self.explorer.update({AS_IT_WAS: self.before, WHAT_IF: STEPS()})
+        self.explorer.update({AS_IT_WAS: self.before, WHAT_IF: self.steps()})
 
     def __repr__(self):
         """Fixed, see `Explorer`."""
