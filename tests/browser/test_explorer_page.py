@@ -114,6 +114,22 @@ def test_map_shows_the_landmarks_and_ellipses_of_the_belief(opened, steps):
     np.testing.assert_allclose(inset["before"][:2], np.sqrt(np.diag(steps[21].prior.pose_covariance)[:2]), rtol=1e-4)
 
 
+def test_a_birth_shows_triangulation_alone_inside_its_ellipse(opened, steps, drive):
+    """A new landmark's ellipse without the pose's share is the triangulation's, turned into the world."""
+    shown = state(opened("joint"))["map"][0]
+    belief, axes = steps[21].posterior, {one["id"]: one["axes"] for one in shown["landmarks"]}
+    assert sorted(shown["triangulated"]) == [str(j) for j in steps[21].born]
+    for j in steps[21].born:
+        T = steps[21].posterior.world_T_imu
+        at = belief.landmarks[belief.ids == j][0]
+        R = (T @ drive.camera.imu_T_cam)[:3, :3]
+        C = R @ drive.camera.triangulation_covariance(drive.camera.to_cam(T, at), NOISE.sigma_px) @ R.T
+        found = shown["triangulated"][str(j)]
+        np.testing.assert_allclose(found, np.sqrt(np.linalg.eigvalsh(C[:2, :2])[::-1]), rtol=0.02)
+        assert found[0] <= axes[j][0]
+        assert found[1] < axes[j][1]
+
+
 def test_numbers_of_landmarks_do_not_cover_each_other_and_the_chosen_one_is_there(opened):
     shown = state(opened("joint"))
     numbers = shown["map"][0]["numbers"]

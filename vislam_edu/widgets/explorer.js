@@ -11,7 +11,7 @@
 const ARRAYS = { f4: Float32Array, i4: Int32Array, i2: Int16Array };
 const ONE = 32767; // int16 of a correlation of 1
 const ROW = { // numbers a row of each array, see LAYOUT in packing.py
-  time: 1, first: 1, ids: 1, landmark: 3, block: 3, axes: 3, pose: 4, inset: 14, sigma: 1, correlation: 1, sight: 2,
+  time: 1, first: 1, ids: 1, landmark: 3, block: 3, axes: 3, triangulated: 3, pose: 4, inset: 14, sigma: 1, correlation: 1, sight: 2,
   sight_ids: 1, sights: 13, path_first: 1, path: 2, path_block: 3, truth: 2, series: 1,
 };
 /** Row i of an array of a run, or rows i to end. */
@@ -33,7 +33,9 @@ function unpack(header, data) {
       if (Array.isArray(value) && value[0] in ARRAYS) arrays[key] = get(value);
     }
     const series = run.series.map((s) => ({ ...s, values: get(s.values), low: get(s.low), high: get(s.high) }));
-    return { ...run, ...arrays, series, ...matrixPlaces(run, arrays) };
+    const bornAt = [0]; // where the landmarks born in each snapshot begin in `triangulated`
+    for (const born of run.born) bornAt.push(bornAt[bornAt.length - 1] + born.length);
+    return { ...run, ...arrays, series, bornAt, ...matrixPlaces(run, arrays) };
   });
   const truth = { landmark: get(header.truth.landmark), path: get(header.truth.path) };
   const history = { ...header, truth, runs };
@@ -271,7 +273,7 @@ function drawMap(canvas, look, history, run) {
   const seen = sights(run, look.i), updated = history.updated[look.i];
   const side = look.inset ? insetSide(w) : 0, place = mapPlace(look, history.bounds, w, h, shot.pose, side);
   const X = (x) => w / 2 + place.k * (x - place.x), Y = (y) => h / 2 - place.k * (y - place.y);
-  const shown = { k: place.k, magnify: look.magnify, landmarks: [], before: 0, lines: 0 };
+  const shown = { k: place.k, magnify: look.magnify, landmarks: [], triangulated: {}, before: 0, lines: 0 };
   const line = (points, step, colour, width) => {
     ctx.beginPath();
     for (let j = 0; j < points.length; j += step) ctx.lineTo(X(points[j]), Y(points[j + 1]));
@@ -315,7 +317,16 @@ function drawMap(canvas, look, history, run) {
     ctx.beginPath();
     ctx.arc(x, y, 2, 0, 7);
     ctx.fill();
-    if (shot.born.includes(id)) ring(ctx, x, y, c.accepted);
+    const alone = shot.born.includes(id) && rows(run, "triangulated", run.bornAt[look.i] + shot.born.indexOf(id));
+    if (alone) ring(ctx, x, y, c.accepted);
+    if (alone && alone.length) { // the rest of the ellipse is the pose's share
+      const needle = ellipseOf(...alone);
+      tracePath(ctx, x, y, needle, place.k * look.magnify);
+      ctx.setLineDash([3, 2]);
+      ctx.stroke();
+      ctx.setLineDash([]);
+      shown.triangulated[id] = [needle.a, needle.b];
+    }
     if (shot.n <= 24 || measured.has(id) || id === look.chosen) numbered.push({ id, x, y });
     shown.landmarks.push({ id, x, y, m: [shot.landmark[3 * j], shot.landmark[3 * j + 1]], axes: [ellipse.a, ellipse.b] });
   }
@@ -330,6 +341,9 @@ function drawMap(canvas, look, history, run) {
   shown.numbers = drawNumbers(ctx, numbered, look, c.measured);
   if (Number.isFinite(shot.pose[0])) drawCar(ctx, X(shot.pose[0]), Y(shot.pose[1]), shot.pose[3], look);
   mapLegend(ctx, look, history, place.k, w, h);
+  if (Object.keys(shown.triangulated).length) {
+    label(ctx, "new, dashed: triangulation alone; the rest is the pose's share", 6, h - 28, c.accepted, look.paper);
+  }
   if (run.captions[look.i].startsWith("nothing changes")) label(ctx, "nothing changes in this half-step", 6, h - 28, c.prior, look.paper);
   if (side) {
     shown.inset = drawPoseInset(ctx, look, history, run, { x: w - side - 4, y: 4, side });

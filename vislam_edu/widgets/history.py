@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from .. import kalman, metrics, se3
-from ..belief import Step
+from ..belief import Belief, Step
 from ..drive import Drive
 from ..error_state import ErrorState, fitting, right_pose_covariance, to_right, world_landmark_covariance
 from ..stereo import FOUR_FROM_THREE
@@ -68,6 +68,7 @@ class Snapshot:
     world_T_imu : (4, 4) or None. pose_covariance : (6, 6) as a right perturbation, or None.
     covariance : (3n+t, 3n+t) in the filter's own coordinates, or None. true_world_T_imu : (4, 4) or None.
     sight : the measurements, or None. born, retired : ids.
+    triangulated : (b, 3, 3) m^2, covariance that the landmarks born here would have if the pose were known exactly.
     path : (P, 4, 4) and path_covariance : (P, 6, 6), or None where the path is that of the snapshots before.
     """
 
@@ -84,6 +85,7 @@ class Snapshot:
     sight: Sight | None = None
     born: np.ndarray = field(default_factory=lambda: NOBODY)
     retired: np.ndarray = field(default_factory=lambda: NOBODY)
+    triangulated: np.ndarray = field(default_factory=lambda: np.empty((0, 3, 3)))
     path: np.ndarray | None = None
     path_covariance: np.ndarray | None = None
     caption: str = ""
@@ -170,6 +172,8 @@ def from_steps(name: str, steps: Iterable[Step], drive: Drive, error_state: Erro
                           label=f"frame {step.k}, {step.time:.1f} s, {'updated' if updated else 'predicted'}",
                           born=step.born if updated else NOBODY, retired=NOBODY if updated else step.retired,
                           true_world_T_imu=truth)
+            if len(now.born) and hasattr(belief, "points"):
+                now = replace(now, triangulated=given_the_pose(belief, error_state)[np.searchsorted(now.ids, now.born)])
             snapshots.append(replace(now, caption=describe(snapshots[-1] if snapshots else None, now, pose is None)))
     # Until the update of a frame, the NIS of the frame before stands.
     summed = np.where(np.array(numbers[:-1]) > 0, numbers[:-1], np.nan)
@@ -225,6 +229,17 @@ def of_belief(belief, error_state, pose=None) -> Snapshot:
     return Snapshot(**at, ids=belief.ids, landmarks=belief.landmarks, world_T_imu=belief.world_T_imu,
                     landmark_covariance=world_landmark_covariance(belief, error_state),
                     pose_covariance=right_pose_covariance(belief, error_state), covariance=belief.covariance)
+
+
+def given_the_pose(belief: Belief, error_state: ErrorState) -> np.ndarray:
+    """(n, 3, 3) m^2: covariance of each landmark's position in the world if the pose were known exactly.
+
+    For a landmark that was just born this is its triangulation alone; the rest of its covariance is the pose's share.
+    """
+    P, pose, n = belief.covariance, belief.pose, 3 * len(belief.ids)
+    known = np.zeros_like(P)
+    known[:n, :n] = P[:n, :n] - P[:n, pose] @ np.linalg.pinv(P[pose, pose], hermitian=True) @ P[pose, :n]
+    return world_landmark_covariance(replace(belief, covariance=known), error_state)
 
 
 def jacobian(belief, innovation, drive, error_state, pose):

@@ -24,6 +24,7 @@ LAYOUT = {  # of each array: its type, and the numbers of one of its rows; explo
     "landmark": ("f4", ["x", "y", "z"]),
     "block": ("f4", ["xx", "xy", "yy"]),  # covariance of the position in the world
     "axes": ("f4", ["longest", "middle", "shortest"]),  # sigma
+    "triangulated": ("f4", ["xx", "xy", "yy"]),  # of the landmarks in the order of their births, for a known pose
     "pose": ("f4", ["x", "y", "z", "heading"]),
     "inset": ("f4", [  # the pose magnified: covariance and sigma of the heading, now and before; place, now and true
         "xx", "xy", "yy", "heading sigma", "before xx", "before xy", "before yy", "before heading sigma",
@@ -133,6 +134,7 @@ def run(block: Block, history: History) -> dict[str, Any]:
         "landmark": np.concatenate([s.landmarks for s in snapshots]),
         "block": covariances[:, [0, 0, 1], [0, 1, 1]],
         "axes": principal_sigmas(covariances),
+        "triangulated": np.concatenate([s.triangulated for s in snapshots])[:, [0, 0, 1], [0, 1, 1]],
         "pose": [ground_pose(s.world_T_imu) for s in snapshots],
         "inset": [inset(snapshots, i) for i in range(len(snapshots))],
         **sights(snapshots), **paths(snapshots)}
