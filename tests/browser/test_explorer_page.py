@@ -348,6 +348,33 @@ def test_two_runs_stand_side_by_side_and_move_together(opened, explorers):
     assert len(state(page)["map"]) == 1
 
 
+def test_two_magnified_poses_have_one_scale_in_every_half_step(opened):
+    """The larger ellipse is drawn larger; a scale stays, or steps by ten where an ellipse would be a dot."""
+    page, halves = opened("two"), []
+    for i in range(0, 120, 3):
+        page.locator(".vx").evaluate(f"e => e.explorer.go({i})")
+        first, second = (one["inset"] for one in state(page)["map"])
+        assert (first["half"], first["widen"]) == (second["half"], second["widen"])
+        a, b = (np.divide(one["radius"], one["axes"]) for one in (first, second))
+        np.testing.assert_allclose(a, b, rtol=1e-6)
+        halves.append(first["half"])
+        largest = max(2.448 * axis for one in (first, second) for axis in one["axes"])
+        assert largest < first["half"]
+    steps = {round(abs(np.log10(b / a)), 6) for a, b in itertools.pairwise(halves)}
+    assert steps <= {0, 1, 2}
+    assert len(set(halves)) <= 2
+
+
+def test_where_the_pose_is_all_that_is_estimated_it_is_the_large_view(opened, explorers):
+    page = opened("odometry", width=1366, height=768)
+    shown = state(page)
+    assert "inset" not in shown["map"][0]
+    sigma = np.sqrt(np.diag(explorers["odometry"].histories[0].snapshots[I].pose_covariance))
+    assert shown["pose"]["sigmas"][2] == pytest.approx(sigma[5], rel=1e-4)
+    sizes = [page.get_by_role("img", name=name).first.bounding_box()["height"] for name in ("pose", "map")]
+    assert sizes[0] > 1.3 * sizes[1]
+
+
 # --- screens ---
 
 

@@ -7,12 +7,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.linalg import block_diag
 from whole import few
 
 from vislam_edu import ekf_slam, se3, simulate
 from vislam_edu.belief import Belief
 from vislam_edu.course.ch13 import capstone
 from vislam_edu.course.ch13 import exercises as chapter13
+from vislam_edu.course.checks.edit import calling, edited
 from vislam_edu.course.checks.verdict import NOT_WRITTEN, RIGHT, WRONG, judge
 from vislam_edu.course.exercises import EXERCISES
 from vislam_edu.course.grading import borrowing, grading, report, submission
@@ -50,9 +52,9 @@ PIECES = {"filter_predict": predict, "filter_update": update, "filter_birth": bi
 def filled(**changed):
     """The pieces by stage, some of them replaced; frame and run are made of them."""
     pieces = PIECES | changed
-    frame = pieces.get("filter_frame") or chapter13.frame_of(pieces["filter_update"], pieces["filter_birth"])
-    run = pieces.get("filter_run") or chapter13.run_of(pieces["filter_predict"], frame)
-    return pieces | {"filter_frame": frame, "filter_run": run}
+    frame = calling(pieces.pop("filter_frame", EXERCISES["filter_frame"].reference), **pieces)
+    run = chapter13.assembled(**pieces, filter_frame=frame)
+    return pieces | {"filter_frame": frame, "filter_run": run} | changed
 
 
 def test_a_capstone_filled_from_ekf_slam_is_right_in_every_stage_and_scores_like_the_package(capsys):
@@ -91,6 +93,28 @@ def test_a_wrong_filter_scores_worse(stage, mistake):
     assert capstone.judged(filled(**{stage: wrong})["filter_run"], capstone.unseen(1)).faults
 
 
+@pytest.mark.parametrize("mistake", ["IMU sample of the wrong step", *(f"{name}, in filter_predict" for name in (
+    "cross-covariances not propagated", "transition of the other direction", "sigma not squared"))])
+def test_the_slalom_shows_what_many_landmarks_hide(mistake):
+    museum = EXERCISES["filter_run"]
+    [wrong] = [m.function for m in [*museum.mistakes, *museum.inherited] if m.name == mistake]
+    one = capstone.judged(wrong, capstone.slalom())
+    low, high = capstone.nees_band()
+    assert low < one.agreed.nees < high
+    assert one.faults
+
+
+def test_a_wrong_filter_that_does_no_harm_is_not_praised(monkeypatch, capsys):
+    [wrong] = [m.function for m in EXERCISES["filter_run"].inherited if m.name.startswith("first measurement used")]
+    monkeypatch.setattr(capstone, "drives", lambda student: [capstone.unseen(student).slice(0, 10)])
+    assert capstone.score(wrong).status == RIGHT
+    said = capsys.readouterr().out
+    assert said.startswith("filter_run: wrong")
+    assert "first measurement used twice, in filter_frame" in said
+    assert "no measurable harm on these drives" in said
+    assert "like the agreed filter" not in said
+
+
 def test_a_covariance_that_is_reported_too_large_is_seen_though_its_nees_is_good():
     def inflated(drive, noise):
         for T, landmarks, ids, P in filled()["filter_run"](drive, noise):
@@ -103,20 +127,95 @@ def test_a_covariance_that_is_reported_too_large_is_seen_though_its_nees_is_good
     assert one.faults == ["sigma too large"]
 
 
+# --- a whole filter, written in one piece -------------------------------------------------------------------
+
+def whole(drive, noise):
+    camera, Q, V = drive.camera, noise.twist_covariance, noise.pixel_covariance
+    R_cam = camera.imu_T_cam[:3, :3]
+    T, points, P = np.eye(4), {}, noise.initial_pose_covariance
+    for k in range(drive.n_frames):
+        if k:
+            xi = drive.taus[k - 1] * drive.step_twists[k - 1]
+            B = drive.taus[k - 1] * se3.right_jacobian(xi)
+            F = block_diag(np.eye(3 * len(points)), se3.adjoint(se3.exp(-xi)))
+            T = T @ se3.exp(xi)
+            P = F @ P @ F.T
+            P[-6:, -6:] += B @ Q @ B.T
+        seen = dict(zip(*drive.observed(k)))
+        stay = np.repeat([*[i in seen for i in points], True, True], 3)
+        points, P = {i: m for i, m in points.items() if i in seen}, P[stay][:, stay]
+        H, r = np.zeros((0, len(P))), []
+        for j, (i, m) in enumerate(points.items()):
+            row = np.zeros((4, len(P)))
+            row[:, 3 * j:3 * j + 3] = camera.landmark_jacobian(T, m)
+            row[:, -6:] = camera.pose_jacobian(T, m)
+            H, r = np.vstack([H, row]), [*r, *(seen[i] - camera.observe(T, m)[0])]
+        if points:
+            K = P @ H.T @ np.linalg.inv(H @ P @ H.T + np.kron(np.eye(len(points)), V))
+            d, P = K @ r, (np.eye(len(P)) - K @ H) @ P
+            points = {i: m + d[3 * j:3 * j + 3] for j, (i, m) in enumerate(points.items())}
+            T = T @ se3.exp(d[-6:])
+        for i in [i for i in seen if i not in points and seen[i][0] - seen[i][2] > 1]:
+            q = camera.triangulate(seen[i])[0]
+            s, C = se3.transform(camera.imu_T_cam, q), camera.triangulation_covariance(q, noise.sigma_px)
+            n, R = 3 * len(points), T[:3, :3]
+            A = np.insert(np.eye(len(P)), 3 * [n], 0, axis=0)
+            A[n:n + 3, n:] = R @ np.hstack([np.eye(3), -se3.so3_hat(s)])
+            P = A @ P @ A.T
+            P[n:n + 3, n:n + 3] += R @ R_cam @ C @ R_cam.T @ R.T
+            points[i] = se3.transform(T, s)
+        yield T, np.reshape(list(points.values()), (-1, 3)), np.array(list(points), int), P
+
+
+# The stage, a word of the cause ("" where the check does not know it), and the edits.
+ONE_MISTAKE = [
+    ("filter_predict", "cross-cov", [
+        ("P = F @ P @ F.T",
+         "new = P.copy()\n            new[-6:, -6:] = (F @ P @ F.T)[-6:, -6:]\n            P = new")]),
+    ("filter_predict", "other direction", [("se3.exp(-xi)", "se3.exp(xi)")]),
+    ("filter_predict", "not squared", [("noise.twist_covariance", "np.sqrt(noise.twist_covariance)")]),
+    ("filter_predict", "", [("B @ Q @ B.T", "2 * B @ Q @ B.T")]),
+    ("filter_run", "wrong step", [("drive.step_twists[k - 1]", "drive.twists[k]")]),
+    ("filter_run", "covariance at the start", [("noise.initial_pose_covariance", "np.eye(6)")]),
+    ("filter_update", "pose sign", [("camera.pose_jacobian(T, m)", "-camera.pose_jacobian(T, m)")]),
+    ("filter_update", "", [("np.eye(len(points)), V", "np.eye(len(points)), np.sqrt(V)")]),
+    ("filter_birth", "not turned", [("R @ R_cam @ C @ R_cam.T @ R.T", "R @ C @ R.T")]),
+    ("filter_birth", "", [("-se3.so3_hat(s)", "-se3.so3_hat(q)")]),
+    ("filter_frame", "retired", [
+        ("[i in seen for i in points]", "[True for i in points]"), ("points.items() if i in seen}", "points.items()}"),
+        ("            row =", "            if i not in seen:\n                continue\n            row ="),
+        ("np.eye(len(points)), V", "np.eye(len(r) // 4), V")]),
+    ("filter_frame", "disparity", [(" and seen[i][0] - seen[i][2] > 1", "")]),
+]
+
+
+def test_of_twelve_whole_filters_with_one_mistake_the_stage_is_named_and_mostly_the_cause():
+    stages = causes = 0
+    for stage, cause, edits in ONE_MISTAKE:
+        verdict = judge(EXERCISES["filter_run"], edited(whole, *edits))
+        assert verdict.status == WRONG
+        said = " ".join([verdict.text, verdict.more])
+        stages += f"in {stage}" in said or f"`{stage}`" in said or (stage == "filter_run" and bool(verdict.mistake))
+        causes += bool(cause) and cause in verdict.mistake
+    assert judge(EXERCISES["filter_run"], whole).right
+    assert (stages >= 10, causes >= 8) == (True, True), (stages, causes)
+
+
 # --- where two results part ---------------------------------------------------------------------------------
 
 def test_the_first_frame_and_entry_that_part_are_those_that_were_changed():
     def run(drive, noise):
         for k, (T, m, ids, P) in enumerate(filled()["filter_run"](drive, noise)):
             P = P.copy()
-            if k >= 5:
-                P[-2, -1] *= 1.5
+            if k >= 2:
+                P[-1, -1] *= 1.5
             yield T, m, ids, P
 
     found = capstone.first_parting("filter_run", run)
-    assert found.where.endswith("pose covariances of frame 5")
-    assert found.entry == (4, 5)
-    assert found.mine[4, 5] == pytest.approx(1.5 * found.package[4, 5])
+    assert found.where.endswith("covariance of frame 2")
+    assert found.entry == (5, 5)
+    assert found.mine[5, 5] == pytest.approx(1.5 * found.package[5, 5])
+    assert "`filter_predict`" in found.look
 
 
 def test_the_picture_frames_the_entry_in_both_matrices_and_their_difference(capsys):

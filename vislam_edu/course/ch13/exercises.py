@@ -5,18 +5,25 @@ Everything is plain arrays. A state is the tuple (world_T_imu (4, 4), landmarks 
 the landmarks that are out of sight. Source: report section 3.3.2, corrected.
 """
 
-import numpy as np
-from scipy.linalg import block_diag
+import contextlib
+import functools
+import itertools
+from collections.abc import Callable
+from dataclasses import dataclass
 
-from ... import ekf_slam, kalman, se3, stereo, window_slam
+import numpy as np
+
+from ... import ekf_slam, se3, stereo, window_slam
 from ...noise import Noise
 from ...simulate import first_steps
 from ..checks import inputs
-from ..checks.exercise import exercise
+from ..checks.comparing import close, number
+from ..checks.edit import calling, edited
+from ..checks.exercise import Mistake, exercise
+from ..checks.right_parts import wrong_entries
 from ..checks.running import Unreadable
 
 NOISE = Noise()
-MIN_DISPARITY = 1.0  # px, below it a landmark waits for a better view
 
 # --- what the pieces are tried on -------------------------------------------------------------------------
 
@@ -54,24 +61,16 @@ def frames(rng):
     T, landmarks, P, pixels = _scene(rng, 6)
     yield "nothing known", (
         (T, landmarks[:0], np.empty(0, int), P[18:, 18:]), np.arange(6), pixels, inputs.CAMERA, NOISE)
-    state = (T, landmarks[:4], np.array([2, 5, 7, 8]), P[6:, 6:])
-    yield "all known", (state, np.array([2, 5, 7, 8]), pixels[:4], inputs.CAMERA, NOISE)
-    yield "one lost, two new", (state, np.array([2, 7, 8, 9, 11]), pixels[[0, 2, 3, 4, 5]], inputs.CAMERA, NOISE)
+    state = (T, landmarks[:4], np.array([7, 2, 8, 5]), P[6:, 6:])
+    yield "all known", (state, np.array([7, 2, 8, 5]), pixels[:4], inputs.CAMERA, NOISE)
+    yield "one lost, two new", (state, np.array([8, 11, 7, 5, 9]), pixels[[2, 5, 0, 3, 4]], inputs.CAMERA, NOISE)
     far = pixels.copy()
-    far[4, 2] = far[4, 0] - 0.5
-    yield "one of the new ones too far", (state, np.array([2, 7, 8, 9, 11]), far[[0, 2, 3, 4, 5]], inputs.CAMERA, NOISE)
+    far[4:, 2] = far[4:, 0] - [0.9, 1.1]
+    yield "one of the new ones too far", (state, np.array([8, 11, 7, 5, 9]), far[[2, 5, 0, 3, 4]], inputs.CAMERA, NOISE)
     yield "nothing in view", (state, np.empty(0, int), np.empty((0, 4)), inputs.CAMERA, NOISE)
 
 
 # --- predict ----------------------------------------------------------------------------------------------
-
-
-def _predicted(T, P, twist, tau, noise, *, mean=None, F=None, W=None):
-    step = se3.exp(tau * twist)
-    F = se3.adjoint(se3.inverse(step)) if F is None else F
-    B = tau * se3.right_jacobian(tau * twist)
-    new = ekf_slam.predict_joint(P, F, B @ noise.twist_covariance @ B.T if W is None else W)
-    return T @ step if mean is None else mean, new
 
 
 @exercise(chapter=13, cases=predictions, outputs=("world_T_imu", "covariance"),
@@ -101,51 +100,23 @@ def filter_predict(world_T_imu, covariance, twist, tau, noise):
 filter_predict.slip("cross-covariances not propagated", """Only the pose block was carried along: P_LR becomes P_LR
 F^T, P_RL its transpose.""", ("P[:n, n:] = covariance[:n, n:] @ F.T\n", "\n"),
                     ("P[n:, :n] = F @ covariance[n:, :n]", ""))
-
-
 filter_predict.slip("not scaled by tau", "W = tau^2 Q: the twist's variance is not that of one step.",
                     ("tau * se3.right_jacobian(tau * twist)", "se3.right_jacobian(tau * twist)"))
-
-
+filter_predict.slip("sigma not squared", "Q holds variances, the squares of the sigmas: noise.twist_covariance.",
+                    ("noise.twist_covariance", "np.sqrt(noise.twist_covariance)"))
 filter_predict.slip("right Jacobian left out", """W = tau^2 Q is the report's form. An error of the sample moves the
 pose by tau J_r(tau u): write B Q B^T.""", ("se3.right_jacobian(tau * twist)", "np.eye(6)"))
-
-
 filter_predict.slip("transition of the other direction", "F = Ad(exp(-tau u^)), with the minus sign.", ("-tau", "tau"))
-
-
 filter_predict.slip("world and body mixed", "The twist is measured in the body: its motion stands on the right.",
                     ("world_T_imu @ step", "step @ world_T_imu"))
-
-
-@filter_predict.mistake("rotation and translation swapped", "A twist is [v, omega], translation first.")
-def _(world_T_imu, covariance, twist, tau, noise):
-    return _predicted(world_T_imu, covariance, np.roll(twist, 3), tau, noise)
-
-
-@filter_predict.mistake("degrees", "The gyro gives radians per second already.")
-def _(world_T_imu, covariance, twist, tau, noise):
-    return _predicted(world_T_imu, covariance, np.append(twist[:3], np.radians(twist[3:])), tau, noise)
+_STEP = "step = se3.exp(tau * twist)"
+filter_predict.slip("rotation and translation swapped", "A twist is [v, omega], translation first.",
+                    (_STEP, f"twist = np.roll(twist, 3)\n    {_STEP}"))
+filter_predict.slip("degrees", "The gyro gives radians per second already.",
+                    (_STEP, f"twist = np.append(twist[:3], np.radians(twist[3:]))\n    {_STEP}"))
 
 
 # --- update -----------------------------------------------------------------------------------------------
-
-
-def _H(T, landmarks, rows, camera, pose=1.0, frame=None):
-    seen = landmarks[rows]
-    H_pose = camera.pose_jacobian(T, seen) if frame is None else frame(camera, T, seen)
-    return ekf_slam.joint_jacobian(camera.landmark_jacobian(T, seen), pose * H_pose, rows, len(landmarks))
-
-
-def _updated(T, landmarks, P, rows, pixels, camera, noise, H=None, retract=None):
-    H = _H(T, landmarks, rows, camera) if H is None else H
-    V = np.kron(np.eye(len(rows)), noise.pixel_covariance)
-    residual = (pixels - camera.observe(T, landmarks[rows])[0]).ravel()
-    if retract is None:
-        return ekf_slam.joint_update(T, landmarks, P, H, residual, V)
-    delta, P = kalman.update(P, H, V, residual)
-    n = landmarks.size
-    return *retract(T, landmarks, delta[:n], delta[n:]), P
 
 
 @exercise(chapter=13, cases=updates, outputs=("world_T_imu", "landmarks", "covariance"),
@@ -180,80 +151,30 @@ def filter_update(world_T_imu, landmarks, covariance, rows, pixels, camera, nois
 
 filter_update.slip("pose sign flipped", "The pose part of H is -J [I, -s^]: the observation model holds T^-1.",
     ("camera.pose_jacobian(world_T_imu, landmarks[j])", "-camera.pose_jacobian(world_T_imu, landmarks[j])"))
-
-
-def _odot_without_extrinsics(camera, T, m):
-    q = camera.to_cam(T, m)
-    return -camera.projection_jacobian(q) @ se3.odot(se3.transform(se3.inverse(T), m))
-
-
-@filter_update.mistake("extrinsics forgotten", "Between the camera and the body stands cam_T_imu, in H as well.")
-def _(world_T_imu, landmarks, covariance, rows, pixels, camera, noise):
-    return _updated(world_T_imu, landmarks, covariance, rows, pixels, camera, noise,
-                    H=_H(world_T_imu, landmarks, rows, camera, frame=_odot_without_extrinsics))
-
-
-@filter_update.mistake("1/q3 forgotten", "dpi/dq has the factor 1 / q_3, the depth.")
-def _(world_T_imu, landmarks, covariance, rows, pixels, camera, noise):
-    depth = np.repeat(camera.to_cam(world_T_imu, landmarks[rows])[:, 2], 4)[:, None]
-    return _updated(world_T_imu, landmarks, covariance, rows, pixels, camera, noise,
-                    H=depth * _H(world_T_imu, landmarks, rows, camera))
-
-
+filter_update.slip("extrinsics forgotten", "Between the camera and the body stands cam_T_imu, in H as well.",
+                   ("camera.pose_jacobian(world_T_imu, landmarks[j])", """(
+            -camera.projection_jacobian(camera.to_cam(world_T_imu, landmarks[j]))
+            @ se3.odot(se3.transform(se3.inverse(world_T_imu), landmarks[j])))"""))
+filter_update.slip("1/q3 forgotten", "dpi/dq has the factor 1 / q_3, the depth.",
+                   ("        V[k, k]", "        H[k] *= camera.to_cam(world_T_imu, landmarks[j])[2]\n        V[k, k]"))
 filter_update.slip("world and body mixed", "The correction is expressed in the body: T exp(delta^).",
                    ("world_T_imu @ se3.exp(delta[n:])", "se3.exp(delta[n:]) @ world_T_imu"))
-
-
 filter_update.slip("a copy updated", "landmarks[rows][:] += ... changes a temporary array: the landmarks stayed.",
                    ("landmarks + delta[:n].reshape(-1, 3)", "landmarks"))
-
-
-@filter_update.mistake("only the seen landmarks corrected", """The others are correlated with the pose and move too:
-this is what the joint covariance is for.""")
-def _(world_T_imu, landmarks, covariance, rows, pixels, camera, noise):
-    def retract(T, m, d, e):
-        moved = m.copy()
-        moved[rows] += d.reshape(-1, 3)[rows]
-        return T @ se3.exp(e), moved
-    return _updated(world_T_imu, landmarks, covariance, rows, pixels, camera, noise, retract=retract)
-
-
+filter_update.slip("only the seen landmarks corrected", """The others are correlated with the pose and move too:
+this is what the joint covariance is for.""",
+                   ("landmarks + delta", "landmarks + np.isin(np.arange(len(landmarks)), rows)[:, None] * delta"))
 filter_update.slip("orders mixed", "delta holds x, y, z of one landmark after the other: reshape(n, 3).",
                    ("delta[:n].reshape(-1, 3)", "delta[:n].reshape(3, -1).T"))
-
-
-@filter_update.mistake("cross terms never written", """After the update the landmarks and the pose are correlated: the
-whole of (I - K H) P is kept.""")
-def _(world_T_imu, landmarks, covariance, rows, pixels, camera, noise):
-    T, m, P = _updated(world_T_imu, landmarks, covariance, rows, pixels, camera, noise)
-    n = len(m)
-    return T, m, block_diag(*(P[3 * i:3 * i + 3, 3 * i:3 * i + 3] for i in range(n)), P[3 * n:, 3 * n:])
-
-
-@filter_update.mistake("columns of another landmark", """Measurement i shows landmark rows[i]: its block stands in the
-columns 3 rows[i] to 3 rows[i] + 3 of H, not 3 i.""")
-def _(world_T_imu, landmarks, covariance, rows, pixels, camera, noise):
-    seen = landmarks[rows]
-    H = ekf_slam.joint_jacobian(camera.landmark_jacobian(world_T_imu, seen), camera.pose_jacobian(world_T_imu, seen),
-                                np.arange(len(rows)), len(landmarks))
-    return _updated(world_T_imu, landmarks, covariance, rows, pixels, camera, noise, H=H)
+filter_update.slip("cross terms never written", """After the update the landmarks and the pose are correlated: the
+whole of (I - K H) P is kept.""",
+                   ("    return", "    block = np.append(np.arange(n) // 3, np.full(6, n))\n"
+                                  "    P = P * (block[:, None] == block)\n    return"))
+filter_update.slip("columns of another landmark", """Measurement i shows landmark rows[i]: its block stands in the
+columns 3 rows[i] to 3 rows[i] + 3 of H, not 3 i.""", ("3 * j:3 * j + 3", "3 * i:3 * i + 3"))
 
 
 # --- birth ------------------------------------------------------------------------------------------------
-
-
-def _born(T, landmarks, P, pixels, camera, noise, point=None, cross=True, C=None):
-    cam = camera.triangulate(pixels)[0] if point is None else point
-    R = camera.imu_T_cam[:3, :3]
-    C = R @ camera.triangulation_covariance(cam, noise.sigma_px) @ R.T if C is None else C
-    landmark, new = ekf_slam.new_landmark(P, T, se3.transform(camera.imu_T_cam, cam), C)
-    n = landmarks.size
-    if not cross:
-        own = slice(n, n + 3)
-        block = new[own, own].copy()
-        new[own], new[:, own] = 0, 0
-        new[own, own] = block
-    return np.vstack([landmarks, landmark]), new
 
 
 @exercise(chapter=13, cases=births, outputs=("landmarks", "covariance"), shows=[ekf_slam.new_landmark], hints=[
@@ -289,82 +210,26 @@ filter_birth.slip("no correlation with the pose", """The new landmark inherits t
 terms are G P[-6:], not zero.""", ("cross = G", "cross = 0 * G"))
 
 
-@filter_birth.mistake("pixels used as bearings", "The bearing is K^-1 [u, v, 1], not [u, v, 1].")
-def _(world_T_imu, landmarks, covariance, pixels, camera, noise):
-    point = camera.triangulate(pixels)[0]
-    return _born(world_T_imu, landmarks, covariance, pixels, camera, noise,
-                 point=point[2] * np.array([pixels[0], pixels[1], 1.0]))
-
-
-@filter_birth.mistake("extrinsics forgotten", "The triangulated point is in the camera frame: imu_T_cam comes first.")
-def _(world_T_imu, landmarks, covariance, pixels, camera, noise):
-    point = camera.triangulate(pixels)[0]
-    C = camera.triangulation_covariance(point, noise.sigma_px)
-    landmark, P = ekf_slam.new_landmark(covariance, world_T_imu, point, C)
-    return np.vstack([landmarks, landmark]), P
-
-
-@filter_birth.mistake("covariance not turned", """`triangulation_covariance` is in the camera frame. C belongs to s, in
-the IMU frame: turn it by the rotation of imu_T_cam on both sides.""")
-def _(world_T_imu, landmarks, covariance, pixels, camera, noise):
-    C = camera.triangulation_covariance(camera.triangulate(pixels)[0], noise.sigma_px)
-    return _born(world_T_imu, landmarks, covariance, pixels, camera, noise, C=C)
-
-
-@filter_birth.mistake("orders mixed", """The new landmark is the last of the landmarks, so its rows and columns stand
-before those of the pose.""")
-def _(world_T_imu, landmarks, covariance, pixels, camera, noise):
-    landmarks, P = _born(world_T_imu, landmarks, covariance, pixels, camera, noise)
-    n = landmarks.size
-    order = np.r_[:n - 3, n:n + 6, n - 3:n]
-    return landmarks, P[np.ix_(order, order)]
-
-
-@filter_birth.mistake("prior 2 I", """The report's 2 I says neither how well the point was triangulated nor how well the
-pose is known.""")
-def _(world_T_imu, landmarks, covariance, pixels, camera, noise):
-    n = landmarks.size
-    point = se3.transform(world_T_imu @ camera.imu_T_cam, camera.triangulate(pixels)[0])
-    P = np.insert(np.insert(covariance, 3 * [n], 0, axis=0), 3 * [n], 0, axis=1)
-    P[n:n + 3, n:n + 3] = noise.landmark_prior * np.eye(3)
-    return np.vstack([landmarks, point]), P
+filter_birth.slip("pixels used as bearings", "The bearing is K^-1 [u, v, 1], not [u, v, 1].",
+                  ("triangulate(pixels)[0]", "triangulate(pixels)[0][2] * np.array([pixels[0], pixels[1], 1.0])"))
+filter_birth.slip("extrinsics forgotten", "The triangulated point is in the camera frame: imu_T_cam comes first.",
+                  ("se3.transform(camera.imu_T_cam, q)", "q"), ("R_cam @ C @ R_cam.T", "C"))
+filter_birth.slip("covariance not turned", """`triangulation_covariance` is in the camera frame. C belongs to s, in
+the IMU frame: turn it by the rotation of imu_T_cam on both sides.""", ("R_cam @ C @ R_cam.T", "C"))
+filter_birth.slip("orders mixed", """The new landmark is the last of the landmarks, so its rows and columns stand
+before those of the pose.""", ("    return", """    order = np.r_[:n, n + 3:n + 9, n:n + 3]
+    P = P[np.ix_(order, order)]
+    return"""))
+filter_birth.slip("prior 2 I", """The report's 2 I says neither how well the point was triangulated nor how well the
+pose is known.""", ("cross = G", "cross = 0 * G"), ("G @ covariance[n:, n:] @ G.T + R @ R_cam @ C @ R_cam.T @ R.T",
+                                                    "noise.landmark_prior * np.eye(3)"))
 
 
 # --- one frame --------------------------------------------------------------------------------------------
 
 
-def only(state, keep):
-    """A state without some landmarks: their rows and columns dropped. keep : (n,) bool."""
-    T, landmarks, ids, P = state
-    index = np.flatnonzero(np.append(np.repeat(keep, 3), np.ones(6, bool)))
-    return T, landmarks[keep], ids[keep], P[np.ix_(index, index)]
-
-
-def frame_of(update, birth, again=False, retire=True, least=MIN_DISPARITY):
-    """The frame made of an update and a birth; again : whether a new landmark's first measurement is used twice.
-
-    least : px, the disparity that a new landmark has to exceed.
-    """
-    def frame(state, ids, pixels, camera, noise):
-        if retire:
-            state = only(state, np.isin(state[2], ids))
-        T, landmarks, known, P = state
-        old = np.isin(ids, known)
-        rows = np.array([np.flatnonzero(known == i)[0] for i in ids[old]], int)
-        if len(rows):
-            T, landmarks, P = update(T, landmarks, P, rows, pixels[old], camera, noise)
-        for i, z in zip(ids[~old], pixels[~old]):
-            if z[0] - z[2] > least:
-                landmarks, P = birth(T, landmarks, P, z, camera, noise)
-                known = np.append(known, i)
-                if again:
-                    T, landmarks, P = update(T, landmarks, P, np.array([len(known) - 1]), z[None], camera, noise)
-        return T, landmarks, known, P
-    return frame
-
-
 def by_id(values):
-    """The results of a frame with the landmarks in the order of their ids, which is left to taste."""
+    """The parts of a state with the landmarks in the order of their ids, which is left to taste."""
     T, landmarks, ids, P = values
     if ids.ndim != 1 or landmarks.shape != (len(ids), 3) or P.shape != (3 * len(ids) + 6,) * 2:
         return values
@@ -385,66 +250,195 @@ def filter_frame(state, ids, pixels, camera, noise):
     join, in the order of `ids`, their first measurement used once. A new one whose disparity u_left - u_right is not
     above 1 px waits for another frame. Returns the four parts of the new state.
     """
-    return frame_of(_updated, _born)(state, ids, pixels, camera, noise)
+    T, landmarks, known, P = state
+    keep = np.isin(known, ids)
+    stay = np.append(np.repeat(keep, 3), np.ones(6, bool))
+    landmarks, known, P = landmarks[keep], known[keep], P[stay][:, stay]
+    old = np.isin(ids, known)
+    rows = np.array([np.flatnonzero(known == i)[0] for i in ids[old]], int)
+    if old.any():
+        T, landmarks, P = filter_update(T, landmarks, P, rows, pixels[old], camera, noise)
+    for i, z in zip(ids[~old], pixels[~old]):
+        if z[0] - z[2] > 1:
+            landmarks, P = filter_birth(T, landmarks, P, z, camera, noise)
+            known = np.append(known, i)
+    return T, landmarks, known, P
 
 
-@filter_frame.mistake("first measurement used twice", """The pixels that made a landmark have told all they know: an
-update with them again counts them twice.""")
-def _(state, ids, pixels, camera, noise):
-    return frame_of(_updated, _born, again=True)(state, ids, pixels, camera, noise)
-
-
-@filter_frame.mistake("nothing retired", "Landmarks out of sight leave the state, or it grows with the drive.")
-def _(state, ids, pixels, camera, noise):
-    return frame_of(_updated, _born, retire=False)(state, ids, pixels, camera, noise)
-
-
-@filter_frame.mistake("disparity not checked", """A landmark with next to no disparity has next to no depth: it waits
-until u_left - u_right is above 1 px.""")
-def _(state, ids, pixels, camera, noise):
-    return frame_of(_updated, _born, least=0.0)(state, ids, pixels, camera, noise)
-
-
-@filter_frame.mistake("new ones joined before the update", """That is honest as well, as long as each measurement is
-used once, but it is another filter: here the known ones correct the pose first, and new ones join the better pose.""")
-def _(state, ids, pixels, camera, noise):
-    old = np.isin(ids, state[2])
-    retired = only(state, np.isin(state[2], ids))
-    frame = frame_of(_updated, _born, retire=False)
-    joined = frame(retired, ids[~old], pixels[~old], camera, noise)
-    return frame(joined, ids[old], pixels[old], camera, noise)
+_AGAIN = "T, landmarks, P = filter_update(T, landmarks, P, np.array([len(known) - 1]), z[None], camera, noise)\n"
+_UPDATE = """    if old.any():
+        T, landmarks, P = filter_update(T, landmarks, P, rows, pixels[old], camera, noise)
+"""
+filter_frame.slip("first measurement used twice", """The pixels that made a landmark have told all they know: an
+    update with them again counts them twice.""",
+    ("known = np.append(known, i)\n", f"known = np.append(known, i)\n            {_AGAIN}"))
+filter_frame.slip("nothing retired", "Landmarks out of sight leave the state, or it grows with the drive.",
+    ("keep = np.isin(known, ids)", "keep = np.ones(len(known), bool)"))
+filter_frame.slip("disparity not checked", """A landmark with next to no disparity has next to no depth: it waits
+    until u_left - u_right is above 1 px.""", ("z[0] - z[2] > 1", "True"))
+filter_frame.slip("new ones joined before the update", """That is consistent as well, as long as each measurement is
+    used once, but it is another filter: here the known ones correct the pose first, and new ones join the better
+    pose.""", (_UPDATE, ""), ("    return T", f"{_UPDATE}    return T"))
+filter_frame.slip("new ones joined, then all updated", """The new ones have used their measurement up when they
+    join. The update takes the known ones alone, and comes first.""", (_UPDATE, ""),
+    ("    return T", """    rows = np.array([np.flatnonzero(known == i)[0] for i in ids if i in known], int)
+    if len(rows):
+        T, landmarks, P = filter_update(T, landmarks, P, rows, pixels[np.isin(ids, known)], camera, noise)
+    return T"""))
+filter_frame.slip("landmark by landmark", """One update with all known landmarks is asked for. In one after the other
+    each is linearised where the last has put the state: another filter, to first order the same.""",
+    (_UPDATE, """    for j, z in zip(rows, pixels[old]):
+        T, landmarks, P = filter_update(T, landmarks, P, np.array([j]), z[None], camera, noise)
+"""))
+filter_frame.slip("rows of the frame taken for rows of the state", """`rows` says which landmark of the state each
+    measurement shows: where in the state's ids its id stands, not where in the frame.""",
+    ("np.array([np.flatnonzero(known == i)[0] for i in ids[old]], int)", "np.arange(old.sum())"))
+filter_frame.slip("no new landmarks", "What the frame sees for the first time joins the state.",
+    ("zip(ids[~old]", "zip(ids[:0]"))
+filter_frame.slip("no update", "The measurements of the known landmarks correct the state.", (_UPDATE, ""))
+filter_frame.slip("new ids in front", "A new landmark is the last of the landmarks, so its id is the last of the ids.",
+    ("np.append(known, i)", "np.append(i, known)"))
+filter_frame.slip("ids sorted without their landmarks", """An id stands where its landmark stands: whoever sorts the ids
+    sorts landmarks and covariance with them.""",
+    ("return T, landmarks, known, P", "return T, landmarks, np.sort(known), P"))
 
 
 # --- the whole filter -------------------------------------------------------------------------------------
 
-def run_of(predict, frame):
-    """The filter made of a prediction and a frame."""
-    def run(drive, noise):
-        state = (np.eye(4), np.empty((0, 3)), np.empty(0, int), noise.initial_pose_covariance)
-        for k in range(drive.n_frames):
-            if k:
-                T, P = predict(state[0], state[3], drive.step_twists[k - 1], drive.taus[k - 1], noise)
-                state = (T, state[1], state[2], P)
-            state = frame(state, *drive.observed(k), drive.camera, noise)
-            yield state
-    return run
+
+def renumbered(drive):
+    """The drive with its landmarks numbered from last to first: the order of a frame is not that of the state."""
+    order = np.concatenate([np.arange(*span)[::-1] for span in itertools.pairwise(drive.frame_start)])
+    return drive.replace(landmark=drive.n_landmarks - 1 - drive.landmark[order], pixels=drive.pixels[order],
+                         truth_landmarks=drive.truth_landmarks[::-1])
 
 
 def drives(rng):
-    yield "the first 12 frames of first_steps", (first_steps().slice(0, 12), NOISE)
-    yield "12 frames in the bend", (first_steps().slice(30, 42), NOISE)
+    drive = first_steps()
+    blind, far = drive.slice(30, 34), drive.slice(30, 31).subsample(4)
+    yield "nothing in view", (blind.keep_landmarks(np.zeros(blind.n_landmarks, bool)), NOISE)
+    yield "the first frames of first_steps", (drive.slice(0, 4).subsample(3), NOISE)
+    yield "frames in the bend", (renumbered(drive.slice(34, 38).subsample(2)), NOISE)
+    pixels = far.pixels.copy()
+    pixels[:2, 2] = pixels[:2, 0] - [0.9, 1.1]
+    yield "a frame with landmarks far away", (far.replace(pixels=pixels), NOISE)
 
 
-def poses_and_covariances(result):
-    """What is compared of a filter's states: the poses (T, 4, 4) and their covariances (T, 6, 6)."""
+def stacked(result):
+    """A filter's states as arrays, padded to one size: ids (T, n), covariances, landmarks, poses, their covariances."""
     states = list(result)
     if not all(isinstance(state, tuple | list) and len(state) == 4 for state in states):
         raise Unreadable("it must yield the four parts of a state after each frame")
-    return (np.array([state[0] for state in states]), np.array([np.asarray(state[3])[-6:, -6:] for state in states]))
+    states = [by_id([np.asarray(part) for part in state]) for state in states]
+    most = max((np.size(ids) for _, _, ids, _ in states), default=0)
+    ids, P = np.full((len(states), most), -1), np.zeros((len(states), 3 * most + 6, 3 * most + 6))
+    landmarks, poses = np.zeros((len(states), most, 3)), np.zeros((len(states), 4, 4))
+    of_poses = np.zeros((len(states), 6, 6))
+    for k, (T, m, known, covariance) in enumerate(states):
+        n = len(known)
+        for name, part, shape in [("world_T_imu", T, (4, 4)), ("landmarks", m, (n, 3)),
+                                  ("covariance", covariance, (3 * n + 6,) * 2)]:
+            if part.shape != shape:
+                raise Unreadable(f"frame {k}: with {n} ids {name} must have shape {shape}, not {part.shape}")
+        ids[k, :n], P[k, :3 * n + 6, :3 * n + 6], landmarks[k, :n], poses[k] = known, covariance, m, T
+        of_poses[k] = covariance[-6:, -6:]
+    return ids, P, landmarks, poses, of_poses
 
 
-@exercise(chapter=13, cases=drives, outputs=("poses", "pose covariances"), reading=poses_and_covariances,
-          tolerance=1e-6, shows=[ekf_slam.run], hints=[
+def unstacked(values):
+    """The states (ids, covariance, landmarks, world_T_imu) that `stacked` has made arrays of."""
+    for ids, P, landmarks, T in zip(*values[:4]):
+        n = int((ids >= 0).sum())
+        yield ids[:n], P[:3 * n + 6, :3 * n + 6], landmarks[:n], T
+
+
+@dataclass(frozen=True, eq=False)
+class Apart:
+    """Where two runs of a filter differ first. frame, part : of the state. entry : index in it, () for shapes.
+
+    mine, right : that part. look : a sentence that says which stage it comes from.
+    """
+
+    frame: int
+    part: str
+    entry: tuple[int, ...]
+    mine: np.ndarray
+    right: np.ndarray
+    look: str
+
+    @property
+    def where(self) -> str:
+        """In words."""
+        place = f"What differs first is {self.part} of frame {self.frame}"
+        if not self.entry:
+            return f"{place}: {self.mine.astype(int).tolist()}, where {self.right.astype(int).tolist()} is right"
+        mine, right = self.mine[self.entry], self.right[self.entry]
+        digits = max(4, 2 + int(np.ceil(-np.log10(abs(mine - right) / (abs(right) or 1.0))))) if mine - right else 4
+        return f"{place}, entry {list(self.entry)}: {number(mine, digits)}, where {number(right, digits)} is right"
+
+
+def apart(arguments, values, expected, tolerance=1e-6) -> Apart | None:
+    """Where a filter's states differ first: frame by frame, in each the ids, the covariance, the mean.
+
+    values, expected : as `stacked` makes them.
+    """
+    before = (np.empty(0, int), arguments[1].initial_pose_covariance, np.empty((0, 3)), np.eye(4))
+    for k, (mine, right) in enumerate(zip(unstacked(values), unstacked(expected))):
+        for part, came, should in zip(("ids", "covariance", "landmarks", "world_T_imu"), mine, right):
+            if came.shape != should.shape or (part == "ids" and (came != should).any()):
+                return Apart(k, part, (), came, should, _look(arguments, k, "ids", mine, right, before))
+            wrong = wrong_entries(came, should, tolerance)
+            if part == "covariance":  # the pose by its own scale, which is far below that of the landmarks
+                wrong[-6:, -6:] |= wrong_entries(came[-6:, -6:], should[-6:, -6:], tolerance)
+            if wrong.any():
+                entry = tuple(int(i) for i in np.argwhere(wrong)[0])
+                return Apart(k, part, entry, came, should, _look(arguments, k, part, mine, right, before))
+        before = right
+    return None
+
+
+def _look(arguments, k, part, mine, right, before) -> str:
+    """The stage that the first difference comes from. before : the state of the frame before, which is right."""
+    drive, noise = arguments
+    seen = drive.observed(k)[0]
+    if part == "ids":
+        return "Which landmarks are in the state is the work of `filter_frame`."
+    if not len(seen):
+        return "This is the start, before any motion: look in `filter_run`." if k == 0 else (
+            "The frame sees nothing, so only the prediction was at work: look in `filter_predict`, or at what "
+            "`filter_run` gives it, the twist and tau of step k - 1.")
+    ids, P, landmarks, _ = right
+    old = np.isin(ids, before[0])
+    known = np.append(np.repeat(old, 3), np.ones(6, bool))
+    if close(mine[1][known][:, known], P[known][:, known], 1e-6) and close(mine[2][old], landmarks[old], 1e-6) and (
+            close(mine[3], right[3], 1e-6)):
+        return "Only what belongs to new landmarks is wrong: look in `filter_birth`."
+    if not old.any():
+        return "No known landmark is in view, and births do not change the pose: look in `filter_frame`."
+    T, P = filter_predict(before[3], before[1], drive.step_twists[k - 1], drive.taus[k - 1], noise)
+    stay = np.isin(before[0], seen)
+    index = np.append(np.repeat(stay, 3), np.ones(6, bool))
+    m, rows = before[2][stay], np.arange(stay.sum())
+    H = ekf_slam.joint_jacobian(drive.camera.landmark_jacobian(T, m), drive.camera.pose_jacobian(T, m), rows, len(m))
+    information = H.T @ np.kron(np.eye(stay.sum()), np.linalg.inv(noise.pixel_covariance)) @ H
+    with contextlib.suppress(np.linalg.LinAlgError):
+        # What the update has started from, if it is right. A prediction leaves the block of the landmarks as it is.
+        prior = np.linalg.inv(np.linalg.inv(mine[1][known][:, known]) - information)
+        if part == "covariance" and close(prior[:-6, :-6], P[index][:, index][:-6, :-6], 1e-3):
+            return "The update has done its part, but what it was given was not right: look in `filter_predict`."
+    return "The births are not to blame, and the prediction leaves no such trace: look in `filter_update`."
+
+
+def where_apart(arguments, values, expected) -> tuple[str, str]:
+    """What differs first, and the stage to look in; as `Exercise.first`."""
+    if len(values[0]) != len(expected[0]):
+        return f"It yields {len(values[0])} states for {len(expected[0])} frames", ""
+    found = apart(arguments, values, expected)
+    return (found.where, found.look) if found else ("", "")
+
+
+@exercise(chapter=13, cases=drives, outputs=("ids", "covariances", "landmarks", "poses", "pose covariances"),
+          reading=stacked, first=where_apart, tolerance=1e-6, shows=[ekf_slam.run], hints=[
     "Frame 0 has no prediction: the identity, no landmarks, noise.initial_pose_covariance.",
     "Frame k is predicted with drive.step_twists[k - 1] and drive.taus[k - 1]; drive.observed(k) gives ids "
     "and pixels."])
@@ -455,27 +449,60 @@ def filter_run(drive, noise):
     and `camera`. noise : `Noise`. It starts at the identity, with no landmarks and `noise.initial_pose_covariance`.
     Write it as a generator: `yield` each state, keep none. Returns an iterator over the T states.
     """
-    return run_of(_predicted, frame_of(_updated, _born))(drive, noise)
+    T, landmarks, known, P = np.eye(4), np.empty((0, 3)), np.empty(0, int), noise.initial_pose_covariance
+    for k in range(drive.n_frames):
+        if k > 0:
+            T, P = filter_predict(T, P, drive.step_twists[k - 1], drive.taus[k - 1], noise)
+        ids, pixels = drive.observed(k)
+        T, landmarks, known, P = filter_frame((T, landmarks, known, P), ids, pixels, drive.camera, noise)
+        yield T, landmarks, known, P
 
 
-@filter_run.mistake("IMU sample of the wrong step", """Step k - 1 to k is driven by drive.step_twists[k - 1], the sample
-of the frame it leaves.""")
-def _(drive, noise):
-    late = np.vstack([drive.twists[1:], drive.twists[-1:]])
-    return filter_run.reference(drive.replace(twists=late), noise)
+filter_run.slip("IMU sample of the wrong step", """Step k - 1 to k is driven by drive.step_twists[k - 1], the sample of
+    the frame it leaves.""", ("drive.step_twists[k - 1]", "drive.twists[k]"))
+filter_run.slip("IMU sample of the step before", """Step k - 1 to k is driven by drive.step_twists[k - 1], the sample of
+    the frame it leaves.""", ("drive.step_twists[k - 1]", "drive.step_twists[max(k - 2, 0)]"))
+filter_run.slip("predicted before frame 0", "Frame 0 is the start: no time has passed, the covariance is Sigma_0.",
+    ("if k > 0:", "if True:"), ("drive.step_twists[k - 1], drive.taus[k - 1]",
+                                "drive.step_twists[max(k - 1, 0)], drive.taus[max(k - 1, 0)]"))
+filter_run.slip("one tau for all", "The frames are not evenly spaced: step k - 1 takes drive.taus[k - 1].",
+    ("drive.taus[k - 1]", "drive.taus.mean()"))
+filter_run.slip("tau of another step", "Step k - 1 to k takes drive.taus[k - 1].",
+    ("drive.taus[k - 1]", "drive.taus[min(k, len(drive.taus) - 1)]"))
+filter_run.slip("no prediction", "Before each frame but the first the IMU moves the pose: filter_predict.",
+    ("k > 0", "False"))
+filter_run.slip("zero covariance at the start", "The pose starts with noise.initial_pose_covariance.",
+    ("noise.initial_pose_covariance", "np.zeros((6, 6))"))
+filter_run.slip("identity covariance at the start", "The pose starts with noise.initial_pose_covariance.",
+    ("noise.initial_pose_covariance", "np.eye(6)"))
+filter_run.slip("predicted after the frame", "First the prediction to frame k, then the frame.",
+    ("""        if k > 0:
+            T, P = filter_predict(T, P, drive.step_twists[k - 1], drive.taus[k - 1], noise)
+""", ""), ("        yield T", """        if k > 0:
+            T, P = filter_predict(T, P, drive.step_twists[k - 1], drive.taus[k - 1], noise)
+        yield T"""))
 
 
-@filter_run.mistake("predicted before frame 0", "Frame 0 is the start: no time has passed, the covariance is Sigma_0.")
-def _(drive, noise):
-    T, P = _predicted(np.eye(4), noise.initial_pose_covariance, drive.step_twists[0], drive.taus[0], noise)
-    start = Noise(noise.sigma_v, noise.sigma_omega, noise.sigma_px, P)
-    for T_k, *rest in filter_run.reference(drive, start):
-        yield T @ T_k, *rest
+def assembled(**stages):
+    """The whole filter with other functions for some of the stages, by their names."""
+    frame = calling(stages.pop("filter_frame", filter_frame.reference), **stages)
+    return calling(stages.pop("filter_run", filter_run.reference), filter_frame=frame, **stages)
 
 
-@filter_run.mistake("one tau for all", "The frames are not evenly spaced: step k - 1 takes drive.taus[k - 1].")
-def _(drive, noise):
-    return filter_run.reference(drive.replace(times=drive.taus.mean() * np.arange(drive.n_frames)), noise)
+@dataclass(frozen=True)
+class InStage(Mistake):
+    """A usual mistake of a stage, put into the whole filter. base : the stage's plain answer."""
+
+    stage: str = ""
+
+    @functools.cached_property
+    def function(self) -> Callable:
+        return assembled(**{self.stage: edited(self.base, *self.edits) if self.edits else self.base})
+
+
+filter_run.inherited.extend(
+    InStage(f"{mistake.name}, in {stage.name}", mistake.hint, mistake.base, mistake.edits, stage.name)
+    for stage in (filter_predict, filter_update, filter_birth, filter_frame) for mistake in stage.mistakes)
 
 
 # --- extensions -------------------------------------------------------------------------------------------

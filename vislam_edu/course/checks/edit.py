@@ -9,6 +9,7 @@ import ast
 import difflib
 import inspect
 import textwrap
+import types
 from collections.abc import Callable
 from typing import Any
 
@@ -30,6 +31,12 @@ def edited(function: Callable, *edits: Edit) -> Callable:
     result.__defaults__, result.__kwdefaults__ = function.__defaults__, function.__kwdefaults__
     result.__qualname__ = function.__qualname__
     return result
+
+
+def calling(function: Callable, **others: Callable) -> Callable:
+    """The function with other functions behind these of its global names."""
+    return types.FunctionType(function.__code__, function.__globals__ | others, function.__name__,
+                              function.__defaults__, function.__closure__)
 
 
 def wrong_source(function: Callable, *edits: Edit) -> str:

@@ -71,6 +71,8 @@ class Exercise:
     canonical : what to compare, as a function of the list of results; None compares them as they are.
     tolerance : largest error, relative to the largest entry of the result.
     reading : what is made of a result before it is compared, where it is no array; None takes it as it is.
+    first : of (arguments, results, right results), what differs first and where to look, two sentences; None : none.
+    inherited : mistakes of other exercises that are recognised in this one too.
     """
 
     chapter: int
@@ -82,6 +84,8 @@ class Exercise:
     canonical: Callable | None
     tolerance: float
     reading: Callable | None = None
+    first: Callable | None = None
+    inherited: list[Mistake] = field(default_factory=list)
     mistakes: list[Mistake] = field(default_factory=list)
     answers: list[Callable] = field(default_factory=list)  # the plain ones: the reference, and other usual ways
 
@@ -138,11 +142,12 @@ class Exercise:
         return hang
 
 
-def exercise(*, chapter, cases, hints, shows, outputs=(), canonical=None, tolerance=1e-8, reading=None):
+def exercise(*, chapter, cases, hints, shows, outputs=(), canonical=None, tolerance=1e-8, reading=None,
+             first=None):
     """Decorator that makes an exercise of its reference answer and enters it under the function's name."""
     def enter(reference):
         entry = Exercise(chapter, reference, cases, tuple(" ".join(hint.split()) for hint in hints), tuple(shows),
-                         tuple(outputs), canonical, tolerance, reading, answers=[reference])
+                         tuple(outputs), canonical, tolerance, reading, first, answers=[reference])
         if entry.name in EXERCISES:
             raise ValueError(f"there are two exercises called {entry.name}")
         EXERCISES[entry.name] = entry

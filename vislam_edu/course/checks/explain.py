@@ -106,6 +106,8 @@ class Search:
                 fits = [fit and self._alike(i, outcome) for fit in fits]
             else:
                 fits = [fit and now for fit, now in zip(fits, self._same(i, outcome.values))]
+            if not any(fits[k] for k in self.wrong):
+                return
         if all(fits):
             self.joint.setdefault(candidate.words, candidate)
         for k in self.wrong:

@@ -22,14 +22,19 @@ def recognise(exercise, cases, outcomes, expected):
     wrong = [i for i, (outcome, should) in enumerate(zip(outcomes, expected))
              if outcome.values is None or differs(exercise, outcome, should)]
     pieces, best, most = [], None, 0
-    for mistake in exercise.mistakes:
+
+    def fits(mistake, i) -> bool:
         with np.errstate(all="ignore"):
-            fits = [_same(exercise, outcome, outcome_of(exercise, mistake.function, arguments))
-                    for outcome, (_, arguments) in zip(outcomes, cases)]
-        explained = sum(fits[i] for i in wrong)
-        if wrong and all(fits):
+            return _same(exercise, outcomes[i], outcome_of(exercise, mistake.function, cases[i][1]))
+
+    for mistake in [*exercise.mistakes, *exercise.inherited] if wrong else ():
+        if not fits(mistake, wrong[0]):
+            continue
+        found = [fits(mistake, i) for i in range(len(outcomes))]
+        explained = sum(found[i] for i in wrong)
+        if all(found):
             pieces.append(mistake)
-        elif explained > most and fits[wrong[0]] and 2 * explained >= len(wrong):
+        elif explained > most and 2 * explained >= len(wrong):
             best, most = mistake, explained
     return pieces, None if pieces else best
 

@@ -130,9 +130,12 @@ def _wrong(exercise, made, cases, expected, reasons) -> Verdict:
     first = next(i for i, reason in enumerate(reasons) if reason)
     label, arguments = cases[first]
     sames = [same(exercise, outcome, should) for outcome, should in zip(outcomes, expected)]
-    found = _causes(exercise, made, cases, expected, sames)
+    reason, look = reasons[first], ""
+    if exercise.first and outcomes[first].values is not None and not outcomes[first].changed:
+        reason, look = exercise.first(arguments, outcomes[first].values, expected[first])
+    found = _causes(exercise, made, cases, expected, sames, look)
     lines = [f"{exercise.name}: wrong, on input {first + 1} of {len(cases)} ({label})",
-             *(argument(*pair) for pair in zip(exercise.arguments, arguments)), reasons[first], *found.said,
+             *(argument(*pair) for pair in zip(exercise.arguments, arguments)), reason, *found.said,
              _remarks(outcomes).strip(), f"To try this input: {exercise.name}(*check.{exercise.name}.failing)"]
     more = f"In a plain answer these are the lines (- as in yours, + right):\n{textwrap.indent(found.lines, '  ')}"
     return Verdict(exercise.name, WRONG, "\n".join(filter(None, lines)), found.mistake,
@@ -150,7 +153,7 @@ class _Causes(NamedTuple):
     lines: str = ""
 
 
-def _causes(exercise, made, cases, expected, sames) -> _Causes:
+def _causes(exercise, made, cases, expected, sames, look) -> _Causes:
     outcomes, slip, unused = made.outcomes, made.slip, made.unused
     if slip:
         return _Causes([slip], slip)
@@ -158,8 +161,8 @@ def _causes(exercise, made, cases, expected, sames) -> _Causes:
     slip = slips.unmoved(exercise, outcomes, expected, sames) or slips.cut(exercise, outcomes, expected, sames)
     if slip and not pieces:
         return _Causes([slip, unused], " ".join(filter(None, [slip, unused])))
-    explanations = explain(exercise, cases, outcomes, expected, simple=bool(pieces))
-    where, looks = right_parts.remarks(exercise, cases, outcomes, expected, sames)
+    explanations = [] if look and pieces else explain(exercise, cases, outcomes, expected, simple=bool(pieces or look))
+    where, looks = ([look], []) if look else right_parts.remarks(exercise, cases, outcomes, expected, sames)
     said = [f"Most likely: {piece.name}. {piece.hint}" for piece in pieces]
     if pieces and (others := [words for one in explanations[:1] for words in one.words if not VAGUE.search(words)]):
         said.append(f"The same numbers come out {', or '.join(others[:2])}.")

@@ -6,8 +6,9 @@ import os
 import secrets
 from pathlib import Path
 
+from ...cli import say
 from ...cli.arguments import OptionError, whole
-from ...recordings.files import write_csv, write_text
+from ...recordings.files import made_folder, write_csv, write_text
 
 
 def add_arguments(parser):
@@ -29,7 +30,8 @@ def add_arguments(parser):
 
 def run(arguments) -> int:
     """Serve or grade; returns the exit status. Raises OptionError for what is missing, or a changed log."""
-    return _serve(arguments) if arguments.what == "serve" else _grade(arguments)
+    with made_folder(arguments.out):
+        return _serve(arguments) if arguments.what == "serve" else _grade(arguments)
 
 
 def _serve(arguments) -> int:
@@ -43,11 +45,10 @@ def _serve(arguments) -> int:
     for name in students:
         if students.count(name) > 1 or not name.strip() or not name.isprintable():
             raise OptionError(f"clinic serve: a student's name is printable, and no other student's; got {name!r}")
-    arguments.out.mkdir(parents=True, exist_ok=True)
     if not arguments.key.exists():
         with open(os.open(arguments.key, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w", encoding="utf-8") as file:
             file.write(secrets.token_hex(32) + "\n")
-        print(f"a new key was written to {arguments.key}: keep it from the students")
+        say(f"a new key was written to {arguments.key}: keep it from the students")
     exam = examination.Examination(arguments.out / "log.txt", _key(arguments.key))
     exam.start(students, arguments.level, arguments.patients)
     with examination.server(exam, (arguments.host, arguments.port)) as server:
@@ -78,8 +79,8 @@ def _grade(arguments) -> int:
               ["student", "total", "maximum", *(f"patient {number}" for number in numbers), "remarks"], rows)
     write_text(arguments.out / "clinic.json", json.dumps(graded, indent=2, ensure_ascii=False) + "\n")
     for student, total, most, *_ in rows:
-        print(f"{student:30} {total:>6} of {most}")
-    print(f"written to {arguments.out / 'clinic.csv'} and {arguments.out / 'clinic.json'}")
+        say(f"{student:30} {total:>6} of {most}")
+    say(f"written to {arguments.out / 'clinic.csv'} and {arguments.out / 'clinic.json'}")
     return 0
 
 
