@@ -72,7 +72,7 @@ def lab(tmp_path_factory):
         file = home / "settings" / "@jupyterlab" / f"{plugin}.jupyterlab-settings"
         file.parent.mkdir(parents=True, exist_ok=True)
         file.write_text(json.dumps(values))
-    alt = f"--LabApp.extra_labextensions_path={ROOT / 'labextensions'}"
+    alt = f"--LabApp.extra_labextensions_path={ROOT / 'docs' / 'labextensions'}"
     with jupyter("jupyterlab", home, "--LabApp.expose_app_in_browser=True", alt) as address:
         yield address
 
