@@ -174,7 +174,16 @@ def test_time_shows_the_chosen_quantity_of_both_runs(opened, explorers):
             series = history[quantity]
             for key in ("values", "low", "high"):
                 assert shown[key][r] == pytest.approx(getattr(series, key)[I], rel=1e-5)
-            assert shown["nis"][r] == pytest.approx(history["NIS / numbers"].values[I], rel=1e-5)
+            assert shown["nis"][r] == pytest.approx(history["NIS / landmark"].values[I], rel=1e-5)
+
+
+def test_sigma_is_a_stair_and_every_prediction_is_inside_the_axis(opened, explorers):
+    page = opened("odometry")
+    select(page, "below", "forward σ")
+    low, high = state(page)["time"]["area"]["range"]
+    sigma = explorers["odometry"].histories[0]["forward σ"].values
+    assert low <= sigma.min() < sigma.max() <= high
+    assert (sigma[2::2] > sigma[3::2]).all()  # up in the prediction, down in the update
 
 
 def test_image_shows_the_innovation_of_the_chosen_landmark(opened, explorers):

@@ -13,6 +13,7 @@ from vislam_edu.course.ch02 import panel as stereo_depth
 from vislam_edu.course.ch02.panel import StereoDepthPicture
 from vislam_edu.course.ch03 import panel as two_gaussians
 from vislam_edu.course.ch03.panel import TwoGaussiansPicture
+from vislam_edu.course.ch05 import panel as chapter05
 from vislam_edu.widgets import Panel
 
 RADIUS2 = chi2.ppf(0.95, 2)
@@ -151,3 +152,19 @@ def test_two_gaussians_make_the_kalman_update_and_their_product(measured, sigma_
     product = predicted * seen / np.trapezoid(predicted * seen, picture.x)
     np.testing.assert_allclose(both, product, atol=2e-3 * both.max())
     assert picture.bars["both"].get_xdata()[1] == pytest.approx(picture.bars["measured"].get_xdata()[1])
+
+
+def test_two_numbers_birth_is_the_first_look_and_dropping_the_covariance_is_an_echo():
+    birth, looked, driven, after = chapter05.two_numbers(99, drop=False)
+    apart = [P[0, 0] + P[1, 1] - 2 * P[0, 1] for P in (birth, looked, driven, after)]
+    np.testing.assert_allclose(apart, [0.01, 1e-4, 4 + 1e-4, 0.01], rtol=3e-3)
+    np.testing.assert_allclose([P[1, 1] for P in (birth, looked, driven, after)], [1, 1, 5, 1], rtol=2e-2)
+    echo = chapter05.two_numbers(99, drop=True)
+    assert np.sqrt(echo[1][1, 1]) < 0.02  # though nothing measured where the car is
+    assert all(P[0, 1] == 0 for P in echo)
+
+
+@pytest.mark.parametrize("check", picture_checks.ALL, ids=lambda check: check.__name__)
+def test_picture_of_two_numbers_stands_what_every_picture_must(check):
+    picture = chapter05.TwoNumbersPicture()
+    check(picture, [{"after": step, "looks": looks} for looks in (1, 5, 99) for step in chapter05.STEPS])

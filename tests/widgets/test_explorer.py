@@ -245,7 +245,7 @@ def test_map_history_holds_the_seen_landmarks_and_the_given_poses(drive, mapped)
     np.testing.assert_allclose(run.ellipses(41), belief.covariance[belief.seen][:, :2, :2], rtol=1e-5)
     np.testing.assert_allclose(run.pose[41, :3], drive.true_world_T_imu[20, :3, 3], rtol=1e-6, atol=1e-6)
     assert "sigma" not in run.arrays
-    assert [one["name"] for one in run.series] == ["NIS / numbers"]
+    assert [one["name"] for one in run.series] == ["NIS / landmark"]
 
 
 def test_map_stands_still_in_the_prediction_and_shrinks_in_the_update(mapped):
@@ -253,7 +253,7 @@ def test_map_stands_still_in_the_prediction_and_shrinks_in_the_update(mapped):
     run = unpacked(explorer)[0]
     for k in range(1, len(steps)):
         np.testing.assert_array_equal(run.axes[run.of(2 * k)], run.axes[run.of(2 * k - 1)])
-        assert "no landmark ellipse changes" in explorer.caption(2 * k)
+        assert "nothing changes" in explorer.caption(2 * k)
         used = np.isin(run.ids[run.of(2 * k)], steps[k].innovation.ids[steps[k].innovation.accepted])
         after = run.axes[run.of(2 * k + 1)][np.isin(run.ids[run.of(2 * k + 1)], run.ids[run.of(2 * k)])]
         assert (after[used].prod(axis=1) < run.axes[run.of(2 * k)][used].prod(axis=1)).all()
@@ -301,6 +301,9 @@ def test_iterations_of_a_batch_estimate(drive):
     np.testing.assert_allclose(run.path.reshape(2, 20, 2)[1], path[:, :2, 3], rtol=1e-6, atol=1e-6)
     np.testing.assert_allclose(run.path_block.reshape(2, 20, 3), [[[4, 0, 4]] * 20, [[1, 0, 1]] * 20], atol=1e-6)
     assert run.series[0]["name"] == "cost"
+    assert not run.series[0]["log"]
+    steep = Explorer.from_beliefs(["iteration 0", "iteration 1"], states, drive, series={"cost": [1e6, 2.0]}, start=0)
+    assert (steep.half_step, steep.header["runs"][0]["series"][0]["log"]) == (0, True)
     assert "landmark 3 gains most, σ 2 → 1 m" in explorer.caption(1)
     assert repr(explorer) == "Explorer(estimate, 2 iterations)"
     assert explorer.still().png[:4] == b"\x89PNG"

@@ -223,7 +223,7 @@ def _draw_timing(ax, timing):
 
 
 def _draw_tracks(ax, since_start, drive, copy_steps):
-    ax.plot(since_start, drive.visible, lw=1, color=style.COLOURS["measured"], label="tracks in view")
+    ax.plot(since_start, drive.visible, lw=1, color=style.COLOURS["prior"], label="tracks in view")
     copies = np.flatnonzero(copy_steps) + 1
     if copies.size:
         ax.plot(since_start[copies], drive.visible[copies], "|", ms=8, color=style.COLOURS["rejected"],
@@ -235,7 +235,7 @@ def _draw_tracks(ax, since_start, drive, copy_steps):
 def _draw_disparities(ax, drive):
     disparity = track_health.disparity(drive)
     low, high = np.percentile(disparity, [0.1, 99]) if disparity.size else (0, 0)
-    ax.hist(disparity, bins=np.linspace(min(-3, low), max(3, high), 80), color=style.COLOURS["measured"])
-    ax.axvline(0, lw=1, color=style.COLOURS["rejected"])
+    ax.hist(disparity, bins=np.linspace(min(-3, low), max(3, high), 80), color=style.COLOURS["prior"])
+    ax.axvline(0, lw=1.5, color=style.COLOURS["rejected"])
     ax.set(title="disparities (below zero: no such point)", xlabel="u_left - u_right (px)",
            ylabel="observations", yscale="log" if disparity.size else "linear")

@@ -151,8 +151,14 @@ function rowUnit(run, shot, row) {
 
 // ------------------------------------------------------------------------------------------------ helpers
 
-/** A number as a reader wants it: three significant digits. */
-const short = (x) => (Number.isFinite(x) ? String(Number(x.toPrecision(3))).replace("-", "−") : "–");
+/** A number as a reader wants it: three significant digits, with a power of ten where zeros would make it long. */
+function short(x) {
+  if (!Number.isFinite(x)) return "–";
+  const size = x && Math.floor(Math.log10(Math.abs(x)));
+  if (size > -5 && size < 5) return String(Number(x.toPrecision(3))).replace("-", "−");
+  const front = Number((x / 10 ** size).toPrecision(3));
+  return `${front === 1 ? "" : `${front}·`.replace("-", "−")}10${superscript(size)}`;
+}
 
 /** 1, 2 or 5 times a power of ten: the largest that is not above x. */
 function niceBelow(x) {
@@ -207,6 +213,14 @@ function label(ctx, text, x, y, colour, paper, align = "left") {
   ctx.fillStyle = colour;
   ctx.fillText(text, x, y);
   ctx.textAlign = "left";
+}
+
+/** Texts of several colours, [text, colour], one after the other. */
+function labels(ctx, x, y, look, words) {
+  for (const [text, colour] of words) {
+    label(ctx, text, x, y, colour, look.paper);
+    x += ctx.measureText(text).width;
+  }
 }
 
 /** #rrggbb to three numbers. */
@@ -316,6 +330,7 @@ function drawMap(canvas, look, history, run) {
   shown.numbers = drawNumbers(ctx, numbered, look, c.measured);
   if (Number.isFinite(shot.pose[0])) drawCar(ctx, X(shot.pose[0]), Y(shot.pose[1]), shot.pose[3], look);
   mapLegend(ctx, look, history, place.k, w, h);
+  if (run.captions[look.i].startsWith("nothing changes")) label(ctx, "nothing changes in this half-step", 6, h - 28, c.prior, look.paper);
   if (side) {
     shown.inset = drawPoseInset(ctx, look, history, run, { x: w - side - 4, y: 4, side });
   }
@@ -779,11 +794,7 @@ function drawLandmark(canvas, look, history, runs) {
   const words = [[`landmark ${look.chosen}: `, c.measured], ...(shown.axes[0]
     ? shown.axes[0].map((v, axis) => [`${["longest", "middle", "shortest"][axis]} σ ${metres(v)}  `, hues[axis]])
     : [["not in the state now", look.ink]])];
-  let x = 4;
-  for (const [text, colour] of words) {
-    label(ctx, text, x, 11, colour, look.paper);
-    x += ctx.measureText(text).width;
-  }
+  labels(ctx, 4, 11, look, words);
   shown.words = words.map(([text]) => text).join("");
   if (at[0] >= 0 && runs[0].matrix) {
     shown.shares = shares(runs[0], now[0], at[0]);
@@ -851,14 +862,14 @@ function landmarkEvents(ctx, plot, history, run, look, { sigmas }, events) {
  */
 function drawTime(canvas, look, history, runs) {
   const { ctx, w, h } = prepare(canvas), names = runs[0].series.map((s) => s.name), last = names.length - 1;
-  const nis = names.includes("NIS / numbers") ? names.indexOf("NIS / numbers") : -1;
+  const nis = names.indexOf("NIS / landmark");
   const shown = { quantity: look.quantity, values: [], low: [], high: [], nis: [] };
   if (!names.length) return shown;
   const chosen = Math.max(names.indexOf(look.quantity), 0), both = nis >= 0 && nis !== chosen;
   const area = { x: 44, y: 14, w: w - 54, h: both ? h * 0.54 - 14 : h - 32 };
   const plot = drawSeries(ctx, look, history, runs, chosen, area, !both);
   shown.words = `${names[chosen]} ${runs.map((run) => short(run.series[chosen].values[look.i])).join(" and ")}`;
-  shown.area = { ...area, x0: plot.x0, x1: plot.x1 };
+  shown.area = { ...area, x0: plot.x0, x1: plot.x1, range: plot.range };
   runs.forEach(({ series }) => {
     shown.values.push(series[chosen].values[look.i]);
     shown.low.push(series[chosen].low[look.i]);
@@ -875,18 +886,18 @@ function drawSeries(ctx, look, history, runs, at, area, axis) {
   const range = seriesRange(history, runs.map((run) => run.series[at]));
   const plot = plotArea(ctx, look, history, area, range, "", axis);
   for (const run of runs) {
-    const { values, low, high } = run.series[at], hue = runs.length > 1 ? run.colour : c.predicted;
+    const { values, low, high, stair } = run.series[at], hue = runs.length > 1 ? run.colour : c.predicted;
     plot.ticks(history, run, low, high, runs.length > 1 ? run.colour : c.prior);
     ctx.setLineDash([4, 3]);
     plot.line(history.updated.map((u, i) => (u ? low[i] : null)), run, runs.length > 1 ? run.colour : c.expected, 1);
     plot.line(history.updated.map((u, i) => (u ? high[i] : null)), run, runs.length > 1 ? run.colour : c.expected, 1);
     ctx.setLineDash([]);
-    plot.line(history.updated.map((u, i) => (u ? values[i] : null)), run, hue, 1.6);
+    plot.line(history.updated.map((u, i) => (u || stair ? values[i] : null)), run, hue, 1.6);
     plot.dot(run.time[look.i], values[look.i], hue);
   }
   plot.cursor(runs[0], look.i);
   const v = runs.map((run) => short(run.series[at].values[look.i])).join(" and ");
-  const band = /error/.test(first.name) ? ", ± 3σ dashed" : Number.isFinite(first.low[first.low.length - 1]) ? ", 95 % band dashed" : "";
+  const band = /error/.test(first.name) ? ", dashed: ± 3σ after updates" : first.stair ? ": up predicted, down updated" : Number.isFinite(first.low[first.low.length - 1]) ? ", 95 % band dashed" : "";
   label(ctx, `${first.name}${first.unit ? ` (${first.unit})` : ""}: ${v}${band}`, area.x - 40, area.y - 4, look.ink, look.paper);
   return plot;
 }
@@ -896,7 +907,7 @@ function seriesRange(history, series) {
   const all = [], bands = [];
   for (const s of series) {
     for (let i = 0; i < history.n; i++) {
-      if (!history.updated[i]) continue;
+      if (!history.updated[i] && !s.stair) continue;
       if (Number.isFinite(s.values[i])) all.push(s.values[i]);
       for (const edge of [s.low[i], s.high[i]]) if (Number.isFinite(edge)) bands.push(edge);
     }
@@ -916,7 +927,7 @@ function plotArea(ctx, look, history, area, range, unit, axis = true) {
   const Y = (v) => area.y + area.h - (area.h * (f(v) - a)) / (b - a);
   ctx.lineWidth = 1;
   ctx.textBaseline = "middle";
-  for (const v of range.log ? decades(range) : steps(range.y0, range.y1, Math.max(2, Math.floor(area.h / 22)))) {
+  for (const v of range.log ? decades(range, area.h / 14) : steps(range.y0, range.y1, Math.max(2, Math.floor(area.h / 22)))) {
     const y = Y(v);
     ctx.strokeStyle = look.grid;
     ctx.lineWidth = 1;
@@ -943,7 +954,7 @@ function plotArea(ctx, look, history, area, range, unit, axis = true) {
     ctx.restore();
   };
   return {
-    X, x0, x1, bottom: area.y + area.h,
+    X, x0, x1, range: [range.y0, range.y1], bottom: area.y + area.h,
     /** values by snapshot; null is passed over, NaN breaks the line. */
     line: (values, run, colour, width) => clip(() => {
       ctx.beginPath();
@@ -995,10 +1006,11 @@ function steps(low, high, n) {
   return found;
 }
 
-/** Powers of ten in a range, and 2 and 5 times them where it spans less than two. */
-function decades({ y0, y1 }) {
-  const found = [], factors = y1 / y0 < 30 ? [1, 2, 5] : [1];
+/** At most about n powers of ten in a range, and 2 and 5 times them where it spans less than two. */
+function decades({ y0, y1 }, n) {
+  const found = [], factors = y1 / y0 < 30 ? [1, 2, 5] : [1], every = Math.ceil(Math.log10(y1 / y0) / n);
   for (let p = Math.floor(Math.log10(y0)); p <= Math.log10(y1); p++) {
+    if (p % Math.max(every, 1)) continue;
     for (const m of factors) if (m * 10 ** p >= y0 * 0.999 && m * 10 ** p <= y1 * 1.001) found.push(m * 10 ** p);
   }
   return found;
@@ -1014,6 +1026,7 @@ function drawImage(canvas, look, history, run) {
   const updated = history.updated[look.i], X = (u) => x0 + k * u, Y = (v) => y0 + k * v;
   const shown = { measured: [], enlarged: 0, chosen: null };
   ctx.strokeStyle = c.faded;
+  ctx.lineWidth = 1;
   ctx.strokeRect(x0, y0, k * width, k * height);
   const far = seen.map((s) => RADIUS * ellipseOf(...s.S).a).sort((p, q) => p - q);
   shown.enlarged = far.length ? Math.max(1, niceBelow(28 / k / Math.max(far[far.length >> 1], 1e-3))) : 1;
@@ -1045,9 +1058,11 @@ function drawImage(canvas, look, history, run) {
   ctx.restore();
   const words = seen.length ? `left image, predictions × ${shown.enlarged} from the measured pixel` : "left image: nothing was predicted in this frame";
   label(ctx, words, x0, 11, look.ink, look.paper);
-  const one = seen.find((s) => s.id === look.chosen), top = y0 + k * height + 16;
+  labels(ctx, x0, y0 + k * height + 12, look, [["● measured  ", c.measured], ["○ 95 % of the prediction (S)  ", c.predicted],
+    [updated ? "─ what is left  " : "─ innovation  ", c.accepted], ["┄ kept out", c.rejected]]);
+  const one = seen.find((s) => s.id === look.chosen), top = y0 + k * height + 20;
   if (one) shown.chosen = drawInnovation(ctx, look, updated, one, { x: 6, y: top, w: w - 12, h: h - top - 4 });
-  else label(ctx, "chosen landmark: not measured in this frame", x0, top, look.ink, look.paper);
+  else label(ctx, "chosen landmark: not measured in this frame", x0, top + 12, look.ink, look.paper);
   shown.words = `${seen.length} landmarks predicted and measured; ${one ? shown.chosen.words : "the chosen one not"}`;
   return shown;
 }

@@ -48,7 +48,8 @@ class Explorer(anywidget.AnyWidget):
     landmark : id of the landmark that is chosen at first; by default the one that stays longest.
     show : which run, 0 or 1, or `BOTH`; of two runs both by default.
     quantity : what is drawn through time at first: "forward error" (the default), "left error", "heading error",
-        "NEES of the pose", "NIS / numbers".
+        "NEES of the pose", "NIS / landmark", or a standard deviation before and after each update: "forward σ",
+        "left σ", "heading σ".
 
     Raises KeyError for an unknown quantity, and ValueError for an empty history, runs of different length, or more than
     `packing.LIMIT` bytes.
@@ -95,7 +96,7 @@ class Explorer(anywidget.AnyWidget):
     def from_beliefs(cls, labels: Sequence[str], beliefs: Sequence[Any], drive: Drive, *, name: str = "estimate",
                      unit: str = "iteration", error_state: ErrorState | None = None,
                      frames: Sequence[int] | None = None, captions: Sequence[str] = (),
-                     series: Mapping[str, Sequence[float]] | None = None,
+                     series: Mapping[str, Sequence[float]] | None = None, start: int | None = None,
                      landmark: int | None = None) -> "Explorer":
         """An explorer whose slider steps through single beliefs: iterations, pairs fused, keyframes.
 
@@ -105,7 +106,8 @@ class Explorer(anywidget.AnyWidget):
         error_state : of the beliefs' covariances, by default `error_state.fitting`.
         frames : n frames of the drive, those of the beliefs' (last) poses; by default its last frame.
         captions : n texts, by default what changed from one belief to the next.
-        series : {name: n numbers} to be drawn below, such as the cost of each iteration. landmark : as above.
+        series : {name: n numbers} to be drawn below, such as the cost of each iteration; on a logarithmic scale where
+        they span more than a factor of 100. start, landmark : as above.
         Raises ValueError when labels and beliefs differ in number or the data are too large.
 
         Example: `Explorer.from_beliefs([f"iteration {i}" for i in range(n)], beliefs, drive, series={"cost": costs})`.
@@ -113,7 +115,7 @@ class Explorer(anywidget.AnyWidget):
         self = cls.__new__(cls)
         one = history.from_beliefs(labels, beliefs, drive, name=name, unit=unit, error_state=error_state,
                                    frames=frames, captions=captions, series=series)
-        self._open([one], drive, None, landmark, 0)
+        self._open([one], drive, start, landmark, 0)
         return self
 
     def update(self, steps: Iterable | Mapping[str, Iterable],

@@ -108,10 +108,10 @@ def draw_landmark(axes, runs, i, landmark, quantity):
 
 
 def draw_series(axes, runs, i, landmark, quantity):
-    """The chosen quantity of the runs through time, after the updates, with its band."""
-    after = [s.updated for s in runs[0].snapshots]
-    time = np.array([s.time for s in runs[0].snapshots])
+    """The chosen quantity of the runs through time, after the updates (a stair: before them too), with its band."""
     first = runs[0][quantity]
+    after = [s.updated or first.stair for s in runs[0].snapshots]
+    time = np.array([s.time for s in runs[0].snapshots])
     for run in runs:
         one, colour = run[quantity], COLOURS[run.colour if len(runs) > 1 else "posterior"]
         axes.plot(time[after], one.values[after], color=colour, label=run.name)
@@ -121,7 +121,7 @@ def draw_series(axes, runs, i, landmark, quantity):
     if first.log:
         axes.set_yscale("log")
     unit = f" ({first.unit})" if first.unit else ""
-    band = ", dashed: ± 3σ" if "error" in first.name else ""
+    band = ", dashed: ± 3σ" if "error" in first.name else ": up predicted, down updated" if first.stair else ""
     axes.set_title(f"{first.name[0].upper()}{first.name[1:]}{unit}{band}")
     axes.set_xlabel(runs[0].axis)
     if len(runs) > 1:

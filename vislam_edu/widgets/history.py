@@ -93,7 +93,8 @@ class Snapshot:
 class Series:
     """A number through the snapshots (n,), and the band in which it should lie: low and high (n,). NaN: no value.
 
-    log : whether it is drawn on a logarithmic scale.
+    unit : or the value that an honest filter has in the mean. log : whether it is drawn on a logarithmic scale.
+    stair : whether predictions are drawn as well as updates.
     """
 
     name: str
@@ -102,6 +103,7 @@ class Series:
     low: np.ndarray
     high: np.ndarray
     log: bool = False
+    stair: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -170,8 +172,8 @@ def from_steps(name: str, steps: Iterable[Step], drive: Drive, error_state: Erro
                           true_world_T_imu=truth)
             snapshots.append(replace(now, caption=describe(snapshots[-1] if snapshots else None, now, pose is None)))
     # Until the update of a frame, the NIS of the frame before stands.
-    per_number = np.where(np.array(numbers[:-1]) > 0, numbers[:-1], np.nan)
-    nis_series = Series("NIS / numbers", "", np.array(nis[:-1]) / per_number, *nis_band(per_number))
+    summed = np.where(np.array(numbers[:-1]) > 0, numbers[:-1], np.nan)
+    nis_series = Series("NIS / landmark", "4 is honest", 4 * np.array(nis[:-1]) / summed, *4 * nis_band(summed))
     series = [*pose_series(snapshots), nis_series]
     if truth is not None and snapshots[0].pose_covariance is not None:
         series.insert(-1, nees_series(steps, drive, error_state))
@@ -197,7 +199,9 @@ def from_beliefs(labels: Sequence[str], beliefs: Sequence[Any], drive: Drive, *,
         words = captions[i] if captions else describe(before, now, True)
         snapshots.append(replace(now, caption=words))
     nothing = np.full(len(beliefs), np.nan)
-    given = [Series(key, "", np.asarray(values, float), nothing, nothing) for key, values in (series or {}).items()]
+    given = [Series(key, "", np.asarray(values, float), nothing, nothing,
+                    log=bool(np.nanmax(values) > 100 * np.nanmin(values) > 0))
+             for key, values in (series or {}).items()]
     return History(name, "slam", unit, unit, row_names(snapshots, error_state), tuple(snapshots),
                    (*given, *pose_series(snapshots)))
 
@@ -309,14 +313,17 @@ def _pose_and_points(belief, ids, drive, pose):
 
 
 def pose_series(snapshots) -> list[Series]:
-    """Errors of the pose as a right perturbation with their ± 3 sigma; errors are NaN without truth."""
+    """Errors of the pose as a right perturbation with their ± 3 sigma (NaN without truth), then sigma alone."""
     if any(s.pose_covariance is None for s in snapshots):
         return []
     sigma = np.sqrt([np.diag(s.pose_covariance) for s in snapshots])
     error = np.array([np.full(6, np.nan) if s.true_world_T_imu is None else
                       se3.log(se3.inverse(s.world_T_imu) @ s.true_world_T_imu) for s in snapshots])
-    return [Series(f"{name} error", unit, scale * error[:, axis], *np.outer([-3, 3], scale * sigma[:, axis]))
-            for name, axis, scale, unit in POSE_ERRORS]
+    errors = [Series(f"{name} error", unit, scale * error[:, axis], *np.outer([-3, 3], scale * sigma[:, axis]))
+              for name, axis, scale, unit in POSE_ERRORS]
+    nothing = np.full(len(sigma), np.nan)
+    return errors + [Series(f"{name} σ", unit, scale * sigma[:, axis], nothing, nothing, stair=True)
+                     for name, axis, scale, unit in POSE_ERRORS]
 
 
 def nees_series(steps, drive, error_state) -> Series:
@@ -326,7 +333,7 @@ def nees_series(steps, drive, error_state) -> Series:
     claimed = [b.pose_covariance if hasattr(b, "ids") else b.covariance for b in beliefs]
     nees = metrics.pose_nees(error_state, truth, np.array([b.world_T_imu for b in beliefs]), np.array(claimed)).pose
     low, high = metrics.chi2_band(6, probability=0.95)
-    return Series("NEES of the pose", "", nees, np.full(len(nees), low), np.full(len(nees), high), log=True)
+    return Series("NEES of the pose", "6 is honest", nees, np.full(len(nees), low), np.full(len(nees), high), log=True)
 
 
 def nis_band(n_numbers):
@@ -345,6 +352,8 @@ def row_names(snapshots, error_state) -> tuple[list[str], list[str]]:
 
 def describe(before: Snapshot | None, now: Snapshot, estimates_pose: bool) -> str:
     """What led from one snapshot to the next, in words and numbers."""
+    if not (estimates_pose or now.updated or len(now.retired)):
+        return "nothing changes, because the poses are given and landmarks stand still"
     words = [_pose_words(before, now)] if now.pose_covariance is not None else []
     if now.updated and now.sight is not None:
         out = now.sight.ids[~now.sight.accepted]

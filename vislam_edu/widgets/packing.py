@@ -122,7 +122,7 @@ def run(block: Block, history: History) -> dict[str, Any]:
     packed = {
         "name": history.name, "role": history.colour, "rows": history.rows, "captions": [s.caption for s in snapshots],
         "born": [s.born.tolist() for s in snapshots], "retired": [s.retired.tolist() for s in snapshots],
-        "series": [{"name": s.name, "unit": s.unit, "log": s.log,
+        "series": [{"name": s.name, "unit": s.unit, "log": s.log, "stair": s.stair,
                     **{key: block.put("series", getattr(s, key)) for key in ("values", "low", "high")}}
                    for s in history.series]}
     covariances = np.concatenate([s.landmark_covariance for s in snapshots])

@@ -1,20 +1,46 @@
-"""Chapter 05: the joint filter run again with other assumptions, beside the run it is compared with."""
+"""Chapter 05: a cross-covariance as an ellipse, and the joint filter run again beside the run it is compared with."""
 
 from collections.abc import Callable
 from dataclasses import replace
 from itertools import count
 
 import ipywidgets
+import numpy as np
 
-from ... import window_slam
+from ... import kalman, window_slam
 from ...belief import Step
 from ...drive import Drive
 from ...noise import Noise
-from ...widgets.canvas import Decades, Switch
+from ...plots.style import COLOURS, ellipse_points
+from ...widgets.canvas import Choice, Decades, Number, Picture, Switch
 from ...widgets.explorer import Explorer
 from ...widgets.panel import Control
+from ..panels import add_axes, legend_above
 
 AS_IT_WAS, WHAT_IF = "as it was", "what if"
+STEPS = ("1 birth", "2 looks", "3 drive", "4 one more look")
+CONTROLS = {"after": Choice("after", STEPS[0], STEPS), "looks": Number("looks in step 2", 5, 1, 99, 1)}
+START_SIGMA, LOOK_SIGMA, DRIVE_SIGMA = 1.0, 0.1, 2.0  # m, of the two numbers: the car, a look at m - p, the drive
+
+
+def two_numbers(looks: int, drop: bool) -> list[np.ndarray]:
+    """(2, 2) covariances m^2 of [m, p] after a birth, so many looks at m - p, a drive of p, and one more look.
+
+    drop : whether the cross-covariance is set to zero after each step. The birth is the first look, so it is not used
+    again.
+    """
+    def kept(P):
+        return np.diag(np.diag(P)) if drop else P
+
+    def look(P):
+        return kept(kalman.update(P, np.array([[1.0, -1.0]]), np.array([[LOOK_SIGMA**2]]), np.zeros(1))[1])
+
+    P = START_SIGMA**2
+    states = [kept(np.array([[P + LOOK_SIGMA**2, P], [P, P]]))]
+    for _ in range(looks):
+        states.append(look(states[-1]))
+    driven = states[-1] + np.diag([0.0, DRIVE_SIGMA**2])
+    return [states[0], states[-1], driven, look(driven)]
 
 
 def leaving_out(frame: int, landmark: int, process_frame: Callable = window_slam.correlated) -> Callable:
@@ -71,3 +97,52 @@ class WhatIf(ipywidgets.VBox):
         """The live widget, with the explorer's still picture and metadata, see `Panel`."""
         data, metadata = self.explorer._repr_mimebundle_(**kwargs)
         return {**data, **(super()._repr_mimebundle_(**kwargs) or {})}, metadata
+
+
+class TwoNumbersPicture(Picture):
+    """A landmark m and a car p on a line as an ellipse in the plane of their errors, joint and with m and p kept apart.
+
+    A birth, some looks at m - p, a drive of the car, one more look: each with what it came from.
+    """
+
+    name = "two numbers"
+    size = (8.4, 4.4)
+    controls = CONTROLS
+
+    def build(self):
+        """One pair of axes for each of the two filters."""
+        self.rows = []
+        for left, title in ((0.08, "Joint"), (0.57, "Cross-covariance dropped after each step")):
+            axes = add_axes(self, (left, 0.13, 0.41, 0.68), title, "error of the landmark m (m)",
+                            "error of the car p (m)", xlim=(-6, 6), ylim=(-6, 6), aspect="equal")
+            (band,) = axes.fill([], [], color=COLOURS["measured"], alpha=0.5, lw=2, label="m − p measured")
+            (was,) = axes.plot([], [], "--", color=COLOURS["prior"], label="before")
+            (now,) = axes.plot([], [], "-", lw=2, color=COLOURS["posterior"], label="now, 95 %")
+            legend_above(axes, [was, now, band])
+            self.rows.append(self.moves(band, was, now))
+
+    def draw(self, after, looks):
+        """Show a step, after so many looks in the second."""
+        step = STEPS.index(after)
+        for (band, was, now), drop in zip(self.rows, (False, True)):
+            states = two_numbers(looks, drop)
+            for line, P in ((was, states[step - 1] if step else None), (now, states[step])):
+                line.set_data(*(([], []) if P is None else ellipse_points(np.zeros(2), P).T))
+            half = 1.96 * LOOK_SIGMA * (1 if step == 3 else looks**-0.5)
+            band.set_xy([[-6 + half, -6], [6 + half, 6], [6 - half, 6], [-6 - half, -6]])
+            band.set_visible(step != 2)
+
+    def caption(self, after, looks):
+        """Standard deviations of both filters."""
+        found = []
+        for name, drop in (("joint", False), ("dropped", True)):
+            P = two_numbers(looks, drop)[STEPS.index(after)]
+            apart = np.sqrt(P[0, 0] + P[1, 1] - 2 * P[0, 1])
+            found.append(f"{name}: car {np.sqrt(P[1, 1]):.2f} m, landmark {np.sqrt(P[0, 0]):.2f} m, "
+                         f"distance {apart:.2f} m")
+        return f"{after}, standard deviations. {'; '.join(found)}."
+
+    def alt(self, **state):
+        """The picture in words."""
+        return ("The 95 % ellipse of the errors of a landmark and a car, before and after a step, in two filters; a "
+                f"look is a narrow band along the diagonal. {self.caption(**state)}")

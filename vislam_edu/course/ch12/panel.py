@@ -18,7 +18,7 @@ class BranchesPicture(Picture):
     """
 
     name = "branch and bound"
-    size = (6.4, 3.9)
+    size = (8.4, 4.0)
 
     def __init__(self, both: Candidates, gate: float = 0.99):
         self.both, self.gate = both, gate
@@ -36,7 +36,7 @@ class BranchesPicture(Picture):
         super().__init__()
 
     def build(self):
-        self.tree = add_axes(self, (0.08, 0.14, 0.45, 0.68), "Sets of pairs, in the order of the search",
+        self.tree = add_axes(self, (0.06, 0.14, 0.36, 0.68), "Sets of pairs, in the order of the search",
                              "node", "pairs", xlim=(0, len(self.nodes) + 1), ylim=(self.depth.max() + 0.5, -0.5),
                              yticks=np.arange(self.depth.max() + 1))
         edges = LineCollection([], colors=COLOURS["faded"], linewidths=0.9)
@@ -47,12 +47,19 @@ class BranchesPicture(Picture):
         legend_above(self.tree, [fitting, ended, here])
 
         new, old = self.both.landmarks[:len(self.both.new)], self.both.landmarks[len(self.both.new):]
-        self.map = add_axes(self, (0.65, 0.14, 0.34, 0.68), "Its pairs on the map", "x (m)", "y (m)")
-        fit_equal(self.map, new[:, :2], old[:, :2], margin=3.0)
-        lines = LineCollection([], linewidths=1.8)
+        self.map = add_axes(self, (0.5, 0.14, 0.49, 0.68), "Its pairs on the map", "x (m)", "y (m)")
+        tried = [np.unique([pair[side] for node in self.nodes for pair in node.pairs]) for side in (0, 1)]
+        fit_equal(self.map, new[tried[0], :2], old[tried[1], :2], margin=2.0)
+        for ids, rows, points, colour, beside, side in (
+                (self.both.new, tried[0], new, "posterior", 4, "left"),
+                (self.both.old, tried[1], old, "dead_reckoning", -4, "right")):
+            for row in rows:
+                self.map.annotate(str(ids[row]), points[row, :2], xytext=(beside, 0), textcoords="offset points",
+                                  fontsize=9, color=COLOURS[colour], ha=side, va="center", clip_on=True)
+        lines = LineCollection([], linewidths=2.5)
         self.map.add_collection(lines, autolim=False)
-        (olds,) = self.map.plot(*old[:, :2].T, "s", ms=4, color=COLOURS["dead_reckoning"], label="old")
-        (news,) = self.map.plot(*new[:, :2].T, "o", ms=4, color=COLOURS["posterior"], label="new")
+        (olds,) = self.map.plot(*old[:, :2].T, "s", ms=3, color=COLOURS["dead_reckoning"], label="old")
+        (news,) = self.map.plot(*new[:, :2].T, "o", ms=3, color=COLOURS["posterior"], label="new")
         legend_above(self.map, [news, olds])
         self.new, self.old = new, old
         self.edges, self.fitting, self.ended, self.here, self.lines = self.moves(edges, fitting, ended, here, lines)
@@ -75,7 +82,8 @@ class BranchesPicture(Picture):
         k = len(here.pairs)
         verdict = "fits" if here.compatible else "does not fit: the branch ends"
         pairs = "1 pair" if k == 1 else f"{k} pairs"
-        return (f"Node {node} of {len(self.nodes)}, {pairs}: joint NIS {here.nis:.1f}, threshold "
+        last = "{} with {}".format(*(ids[row] for ids, row in zip((self.both.new, self.both.old), here.pairs[-1])))
+        return (f"Node {node} of {len(self.nodes)}, {pairs}, the last {last}: joint NIS {here.nis:.1f}, threshold "
                 f"{kalman.gate_threshold(self.gate, 3 * k):.1f}, {verdict}. Best so far: {len(here.best)}.")
 
     def alt(self, node):
