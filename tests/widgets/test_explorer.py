@@ -15,7 +15,7 @@ from scipy.stats import chi2, multivariate_normal
 
 from vislam_edu import mapping, odometry, plots, se3, simulate, window_slam
 from vislam_edu.belief import Step
-from vislam_edu.course.ch05.panel import AS_IT_WAS, WHAT_IF, WhatIf
+from vislam_edu.course.ch05.panel import AS_IT_WAS, FRAME, LANDMARK, NOTHING, WHAT_IF, WhatIf
 from vislam_edu.error_state import RightInvariant, RightPerturbation, right_pose_covariance, world_landmark_covariance
 from vislam_edu.motion import TwistAndBias
 from vislam_edu.noise import Noise
@@ -404,14 +404,24 @@ def test_what_if_runs_the_filter_again(drive, runs):
                                rtol=1e-5)
     what_if.factor.value = 1.0
     what_if.explorer.half_step, what_if.explorer.landmark = 21, 9
-    what_if.leave_out.value = True
-    steps = what_if.steps()
-    assert what_if.left_out == (10, 9)
-    assert 9 in runs["right"][10].innovation.ids
-    assert 9 not in steps[10].innovation.ids
-    assert 9 in steps[11].innovation.ids
-    assert steps[10].posterior.pose_covariance[0, 0] > runs["right"][10].posterior.pose_covariance[0, 0]
-    what_if.leave_out.value = False
+    what_if.leave_out.value = LANDMARK
+    assert what_if.left_out == (LANDMARK, 9)
+    seen = [step.k for step in what_if.steps() if 9 in step.innovation.ids]
+    assert not seen
+    assert any(9 in step.born for step in what_if.after)
+    what_if.explorer.half_step = 41
+    ratios = what_if.ratios()
+    assert ratios["9"] == max(ratios.values()) > 1.5
+    assert np.mean([ratio > 1 for name, ratio in ratios.items() if name != "9"]) > 0.7
+    assert "landmark 9" in what_if.text.value
+    what_if.leave_out.value = FRAME
+    assert what_if.left_out == (FRAME, 20)
+    assert len(what_if.after[20].innovation.ids) == 0
+    assert what_if.after[20].posterior.pose_covariance[0, 0] > runs["right"][20].posterior.pose_covariance[0, 0]
+    assert what_if.ratios()["pose"] > 1.1
+    what_if.explorer.half_step = 50  # the text keeps saying what was left out
+    assert "Without frame 20" in what_if.text.value
+    what_if.leave_out.value = NOTHING
     assert what_if.left_out is None
 
 

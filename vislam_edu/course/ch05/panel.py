@@ -12,14 +12,14 @@ from ...belief import Step
 from ...drive import Drive
 from ...noise import Noise
 from ...plots.style import COLOURS, ellipse_points
-from ...widgets.canvas import Choice, Decades, Number, Picture, Switch
+from ...widgets.canvas import Choice, Decades, Number, Picture
 from ...widgets.explorer import Explorer
 from ...widgets.panel import Control
 from ..panels import add_axes, legend_above
 
 AS_IT_WAS, WHAT_IF = "as it was", "what if"
 STEPS = ("1 birth", "2 looks", "3 drive", "4 one more look")
-CONTROLS: dict[str, Number | Switch | Choice] = {"after": Choice("after", STEPS[0], STEPS), "looks": Number("looks in step 2", 5, 1, 99, 1)}
+CONTROLS: dict[str, Number | Choice] = {"after": Choice("after", STEPS[0], STEPS), "looks": Number("looks in step 2", 5, 1, 99, 1)}
 START_SIGMA, LOOK_SIGMA, DRIVE_SIGMA = 1.0, 0.1, 2.0  # m, of the two numbers: the car, a look at m - p, the drive
 
 
@@ -43,37 +43,46 @@ def two_numbers(looks: int, drop: bool) -> list[np.ndarray]:
     return [states[0], states[-1], driven, look(driven)]
 
 
-def leaving_out(frame: int, landmark: int, process_frame: Callable = window_slam.correlated) -> Callable:
-    """A `process_frame` for one `window_slam.run` that never sees one measurement: this landmark in this frame."""
+NOTHING, LANDMARK, FRAME = "nothing", "all later looks at the chosen landmark", "the frame that is shown"
+
+
+def leaving_out(what: str, number: int) -> Callable:
+    """A `process_frame` for one `window_slam.run` without a frame, or without a landmark's looks after its birth."""
     frames = count()
 
     def process(prior, ids, pixels, settings):
-        keep = (ids != landmark) | (next(frames) != frame)
-        return process_frame(prior, ids[keep], pixels[keep], settings)
+        k = next(frames)
+        keep = np.full(len(ids), k != number) if what == FRAME else (ids != number) | ~np.isin(ids, prior.ids)
+        return window_slam.correlated(prior, ids[keep], pixels[keep], settings)
 
     return process
 
 
 class WhatIf(ipywidgets.VBox):
-    """An explorer of the joint filter with two controls that run it again: V times k, and one measurement left out.
+    """An explorer of the joint filter with two controls that run it again: V times k, and measurements left out.
 
     drive : Drive. noise : Noise of the run that it is compared with. start : the half-step to begin with.
-    factor : control, k in V -> k V. leave_out : control; when switched on, the filter runs without the measurement of
-    the landmark that is chosen in the explorer, in the frame that is shown.
-    explorer : the two runs side by side. left_out : (frame, landmark) that is left out, or None.
+    factor : control, k in V -> k V. leave_out : control, which measurements the filter does not get: `NOTHING`, those
+    of the `LANDMARK` that is chosen when it is set, after its birth, or those of the `FRAME` that is shown then.
+    text : the widget that says what was left out, and by how much the sigmas of the shown half-step differ.
+    explorer : the two runs side by side. left_out : (what, number), or None.
     """
 
     def __init__(self, drive: Drive, noise: Noise, start: int | None = None):
         self.drive, self.noise = drive, noise
-        self.left_out: tuple[int, int] | None = None
+        self.left_out: tuple[str, int] | None = None
         self.before: list[Step] = list(window_slam.run(drive, noise))
+        self.after = self.before
         self.factor = Control(Decades("V ×", 1.0, 0.01, 100.0, 0.1))
-        self.leave_out = Control(Switch("leave out the chosen landmark's measurement in this frame"))
+        self.leave_out = Control(Choice("leave out", NOTHING, (NOTHING, LANDMARK, FRAME)))
         self.explorer = Explorer({AS_IT_WAS: self.before, WHAT_IF: self.before}, drive, start=start)
+        self.text = ipywidgets.HTML()
         self.factor.observe(lambda _: self._run(), names="value")
         self.leave_out.observe(self._leave_out, names="value")
+        self.explorer.observe(self._say, names="half_step")
         controls = ipywidgets.Box([self.factor, self.leave_out], layout=ipywidgets.Layout(flex_flow="row wrap"))
-        super().__init__([controls, self.explorer])
+        super().__init__([controls, self.text, self.explorer])
+        self._say()
 
     def steps(self) -> list[Step]:
         """The filter run as the controls say."""
@@ -82,12 +91,34 @@ class WhatIf(ipywidgets.VBox):
         return list(window_slam.run(self.drive, V_times_k, process_frame=process))
 
     def _leave_out(self, change):
-        frame = self.before[self.explorer.half_step // 2].k
-        self.left_out = (frame, self.explorer.landmark) if change.new and self.explorer.landmark >= 0 else None
+        number = {LANDMARK: self.explorer.landmark, FRAME: self.explorer.half_step // 2}.get(change.new, -1)
+        self.left_out = (change.new, number) if number >= 0 else None
         self._run()
 
     def _run(self):
-        self.explorer.update({AS_IT_WAS: self.before, WHAT_IF: self.steps()})
+        self.after = self.steps()
+        self.explorer.update({AS_IT_WAS: self.before, WHAT_IF: self.after})
+        self._say()
+
+    def ratios(self) -> dict[str, float]:
+        """Longest sigma of the pose's position and of each landmark in the shown half-step: what if over as it was."""
+        k, updated = divmod(self.explorer.half_step, 2)
+        was, now = (steps[k].posterior if updated else steps[k].prior for steps in (self.before, self.after))
+        common, i, j = np.intersect1d(was.ids, now.ids, return_indices=True)
+        longest = [np.sqrt(np.linalg.eigvalsh(np.concatenate([one.pose_covariance[None, :3, :3],
+                                                              one.landmark_covariance[rows]]))[:, -1])
+                   for one, rows in ((was, i), (now, j))]
+        return dict(zip(["pose", *map(str, common)], longest[1] / longest[0]))
+
+    def _say(self, change=None):
+        what, number = self.left_out or (NOTHING, -1)
+        left_out = {NOTHING: "", LANDMARK: f"Without the looks at landmark {number} after its birth. ",
+                    FRAME: f"Without frame {number}. "}[what]
+        ranked = sorted(self.ratios().items(), key=lambda item: -abs(np.log(item[1])))
+        shown = ", ".join(f"{name} {ratio:.2f}" for name, ratio in ranked[:8] if abs(ratio - 1) > 0.005) or "none"
+        accepted = np.concatenate([step.innovation.accepted for step in self.after])
+        self.text.value = (f'<div role="status">{left_out}σ in this half-step, what if over as it was, largest changes '
+                           f"first: {shown}. The gate lets in {accepted.mean():.0%} of all measurements.</div>")
 
     def __repr__(self):
         """Fixed, see `Explorer`."""
