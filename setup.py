@@ -3,7 +3,7 @@
 import shutil
 from pathlib import Path
 
-from setuptools import setup
+from setuptools import Distribution, setup
 from setuptools.command.build_py import build_py
 
 HERE = Path(__file__).parent
@@ -23,4 +23,10 @@ class BuildWithNotebooks(build_py):
                 shutil.copyfile(path, target)
 
 
-setup(cmdclass={"build_py": BuildWithNotebooks})
+class EditableWithDataFiles(Distribution):
+    """An editable install has JupyterLab's extension, too: setuptools asks a method of another name for its files."""
+
+    has_data = Distribution.has_data_files
+
+
+setup(cmdclass={"build_py": BuildWithNotebooks}, distclass=EditableWithDataFiles)

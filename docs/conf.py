@@ -24,7 +24,8 @@ project, author, release = "vislam_edu", "vislam_edu contributors", vislam_edu._
 extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx-mathjax-offline"]
 (HERE / "_live").mkdir(exist_ok=True)  # Sphinx leaves out a folder that is not there when it begins
 urls = tomllib.loads((HERE.parent / "pyproject.toml").read_text(encoding="utf-8"))["project"]["urls"]
-html_theme_options = {"footer_icons": [{"name": "Repository", "url": urls["Repository"], "html": "Repository", "class": ""}]}
+html_theme_options = {
+    "footer_icons": [{"name": "Repository", "url": urls["Repository"], "html": "Repository", "class": ""}]}
 html_theme, html_title = "furo", "vislam_edu: visual-inertial SLAM"
 html_static_path, html_css_files, html_extra_path = ["_static"], ["site.css"], ["_live"]
 html_js_files = [("site.js", {"defer": "defer"})]

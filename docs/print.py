@@ -1,4 +1,4 @@
-"""The whole series as one PDF, mathematics rendered, by Chromium's print:
+"""The whole series as one PDF, mathematics rendered, with tags and an outline, by Chromium's print:
 
     python -m sphinx -b singlehtml -D live= docs PAGES && python docs/print.py PAGES/index.html series.pdf
 """
@@ -16,7 +16,8 @@ def main(page_file, pdf):
         page = browser.new_page()
         page.goto(Path(page_file).resolve().as_uri())
         page.evaluate("() => window.MathJax ? MathJax.startup.promise : null")
-        page.pdf(path=pdf, format="A4", margin=dict.fromkeys(("top", "bottom", "left", "right"), "15mm"), scale=0.8)
+        page.pdf(path=pdf, format="A4", margin=dict.fromkeys(("top", "bottom", "left", "right"), "15mm"), scale=0.8,
+                 tagged=True, outline=True)
         browser.close()
 
 

@@ -66,13 +66,24 @@ def lab(tmp_path_factory):
     """Address of a JupyterLab with its own settings that serves copies of the notebooks, see `copy_notebooks`."""
     home = tmp_path_factory.mktemp("lab")
     copy_notebooks(home / "notebooks")
+    nbformat.write(pictures(), home / "notebooks" / "pictures.ipynb")
     shutil.copytree(ROOT / "benchmarks" / "results", home / "benchmarks" / "results")  # stored studies they read
     for plugin, values in SETTINGS.items():
         file = home / "settings" / "@jupyterlab" / f"{plugin}.jupyterlab-settings"
         file.parent.mkdir(parents=True, exist_ok=True)
         file.write_text(json.dumps(values))
-    with jupyter("jupyterlab", home, "--LabApp.expose_app_in_browser=True") as address:
+    alt = f"--LabApp.extra_labextensions_path={ROOT / 'docs' / 'labextensions'}"
+    with jupyter("jupyterlab", home, "--LabApp.expose_app_in_browser=True", alt) as address:
         yield address
+
+
+def pictures():
+    """A notebook with two stored pictures, one with an alternative text."""
+    dot = "iVBORw0KGgoAAAANSUhEUgAAAAEAAAABCAYAAAAfFcSJAAAADUlEQVR42mNk+M9QDwADhgGAWjR9awAAAABJRU5ErkJggg=="
+    outputs = [nbformat.v4.new_output("display_data", {"image/png": dot}, metadata={"image/png": metadata})
+               for metadata in ({"alt": 'Depth < 40 m, "far".', "width": 30}, {})]
+    return nbformat.v4.new_notebook(cells=[nbformat.v4.new_code_cell("1", outputs=outputs)], metadata={
+        "kernelspec": {"name": "python3", "display_name": "Python 3"}})
 
 
 def copy_notebooks(folder):
@@ -150,6 +161,15 @@ def test_notebook_in_the_browser(notebook, page):
     for explorer in page.locator(".vx").all():
         explore(page, explorer)
     assert failures(page) == []
+
+
+@pytest.mark.parametrize("notebook", [Path("pictures.ipynb")], ids=str)
+def test_a_screen_reader_finds_the_stored_alternative_texts(notebook, page):
+    open_notebook(page, notebook.name)
+    picture = page.get_by_role("img", name='Depth < 40 m, "far".', exact=True)
+    expect(picture).to_have_count(1)
+    assert picture.evaluate("image => [image.naturalWidth, image.width]") == [1, 30]
+    assert page.locator(".jp-RenderedImage img").evaluate_all("images => images.map(image => image.alt)")[1:] == [""]
 
 
 def open_notebook(page, name):

@@ -163,6 +163,19 @@ def test_matrix_has_three_readings(opened, steps, reading):
         assert not kept.all()
 
 
+@pytest.mark.parametrize("reading", ["correlation", "covariance"])
+def test_blocks_of_the_chosen_landmark_are_numbers_of_the_matrix(opened, steps, reading):
+    page = opened("joint", width=1366, height=768)
+    select(page, "matrix", reading)
+    shown, belief = state(page)["blocks"], steps[21].posterior
+    at = 3 * belief.ids.tolist().index(shown["id"])
+    P, sigma = belief.covariance, np.sqrt(np.diag(belief.covariance))
+    expected = P / np.outer(sigma, sigma) if reading == "correlation" else P
+    columns = [at, at + 1, at + 2, *range(len(P) - 6, len(P))]
+    scale = np.outer(sigma[at:at + 3], sigma[columns]) if reading == "covariance" else 1
+    np.testing.assert_allclose(np.array(shown["values"]) / scale, expected[at:at + 3, columns] / scale, atol=4e-5)
+
+
 def test_landmark_through_time_has_its_birth_updates_and_retirement(opened, steps):
     page = opened("joint")
     gone = int(steps[10].retired[0])

@@ -13,6 +13,7 @@ import threading
 from pathlib import Path
 
 import pytest
+from browser import NO_CHROMIUM
 from whole import WHOLE
 
 pytest.importorskip("myst_nb", reason="the web pages need environment-dev.txt")
@@ -114,6 +115,15 @@ def test_pictures_keep_their_alternative_text(page, site):
     alts = page.locator("article img").evaluate_all("images => images.map(image => image.alt)")
     assert alts
     assert all(len(alt) > 30 for alt in alts), alts
+
+
+@NO_CHROMIUM
+def test_the_pdf_has_tags_an_outline_and_a_language(tmp_path):
+    page, pdf = tmp_path / "page.html", tmp_path / "page.pdf"
+    page.write_text('<html lang="en"><title>Series</title><h1>One</h1><p>text</p><h2>Two</h2></html>')
+    subprocess.run([sys.executable, "docs/print.py", page, pdf], cwd=CLONE, check=True)
+    content = pdf.read_bytes()
+    assert all(key in content for key in (b"/StructTreeRoot", b"/Outlines", b"/Lang (en)"))
 
 
 def test_search_finds_a_word_without_a_server(page, site):

@@ -9,6 +9,7 @@ import threading
 import urllib.error
 import urllib.parse
 import urllib.request
+from concurrent.futures import ThreadPoolExecutor
 from html import escape
 
 import pytest
@@ -111,6 +112,15 @@ def test_only_the_links_open_a_page(exam, site):
         assert asked(site + path)[0] == 404
         assert asked(site + path, patient=1, test="H")[0] in (400, 404)
     assert len(exam.log.read_bytes().splitlines()) == 1
+
+
+def test_a_class_that_orders_at_once_is_served(exam, site):
+    with ThreadPoolExecutor(60) as pool:
+        url = site + exam.token(NAMES[0])
+        replies = list(pool.map(lambda test: asked(url, patient=1, test=test)[0], ["H", "birth", "predict"] * 20))
+    assert set(replies) == {200}
+    assert sorted(exam.cases[NAMES[0], 1]["ordered"]) == ["H", "birth", "predict"]
+    assert examination.Examination(exam.log, KEY).cases == exam.cases
 
 
 def test_a_stopped_server_goes_on_where_it_was_and_a_torn_line_counts_for_nothing(exam):

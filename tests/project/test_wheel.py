@@ -50,6 +50,9 @@ def test_the_wheel_holds_what_the_clone_has(wheel):
     assert {f"vislam_edu/shipped/notebooks/{name}" for name in NOTEBOOKS} <= names
     assert {"vislam_edu/shipped/data/street_loop.npz", "vislam_edu/shipped/data/first_steps.npz"} <= names
     assert not [name for name in names if name.startswith("tests")]
+    extension = CLONE / "docs" / "labextensions"
+    files = {path.relative_to(extension).as_posix() for path in extension.rglob("*.*")}
+    assert files == {name.partition("/data/share/jupyter/labextensions/")[2] for name in names} - {""}
 
 
 def test_a_shipped_drive_is_found_from_anywhere(installed, tmp_path):

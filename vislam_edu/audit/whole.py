@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 import numpy as np
-from scipy.optimize import minimize, minimize_scalar
+import scipy  # scipy.optimize is loaded when it is used: `run` on a sound file need not wait for it
 
 from .. import se3
 from ..drive import Drive
@@ -174,8 +174,8 @@ def _fitted(drive):
     def moved(d):
         return _with_K(lambda K: K + np.outer([*d, 0], [0, 0, 1]), f"centre of K moved by {np.round(d, 1).tolist()} px")
 
-    shift = minimize(lambda shift: min(unexplained(moved(shift)(drive), path), 1e6), middle - centre,
-                     method="Nelder-Mead", options={"maxfev": 60, "xatol": 1.0}).x
+    shift = scipy.optimize.minimize(lambda shift: min(unexplained(moved(shift)(drive), path), 1e6), middle - centre,
+                                    method="Nelder-Mead", options={"maxfev": 60, "xatol": 1.0}).x
     # Turned extrinsics look much the same; but then the centre of K is the centre of the images
     nearer = np.linalg.norm(centre + shift - middle) < 0.7 * np.linalg.norm(centre - middle)
     if np.linalg.norm(shift) > _MIN_SHIFT * drive.camera.K[0, 0] and nearer:
@@ -189,7 +189,8 @@ def _best_factor(drive, scaled, path):
         return unexplained(_with_K(lambda K: K * np.exp(log_s * scaled), "")(drive), path)
 
     start = min(np.log(_NICE), key=score)
-    best = minimize_scalar(score, bounds=(start - 0.4, start + 0.4), method="bounded", options={"xatol": 2e-3})
+    best = scipy.optimize.minimize_scalar(score, bounds=(start - 0.4, start + 0.4), method="bounded",
+                                          options={"xatol": 2e-3})
     return float(np.exp(best.x))
 
 

@@ -673,6 +673,45 @@ function drawMatrix(canvas, look, history, run) {
     framed: chosen, centres: Array.from({ length: d }, (_, row) => (at(row) + at(row + 1)) / 2) };
 }
 
+/** The chosen landmark's blocks of the matrix, with itself and with the pose, as numbers with names and units. */
+function drawBlocks(canvas, look, history, run) {
+  const { ctx, w, h } = prepare(canvas), shot = snapshot(run, look.i), at = shot.ids.indexOf(look.chosen);
+  const what = { correlation: "correlation", covariance: "covariance", change: "change of the covariance" }[look.reading];
+  const shown = { id: look.chosen, values: [], words: `landmark ${look.chosen}: ${what} with itself and the pose` };
+  if (at < 0) {
+    label(ctx, look.chosen < 0 ? "Click a landmark." : `Landmark ${look.chosen} is not in the state now.`, 4, 11, look.ink, look.paper);
+    return shown;
+  }
+  label(ctx, shown.words, 4, 11, look.colours.measured, look.paper);
+  const all = readMatrix(run, look), d = shot.sigma.length, t = 3 * shot.n, own = [0, 1, 2].map((u) => 3 * at + u);
+  const columns = [...own, ...Array.from({ length: 6 }, (_, u) => t + u)], x0 = 44, y0 = 72, cell = (w - x0 - 28) / 9, high = (h - y0 - 4) / 3;
+  const name = (row) => (row < t ? run.rows[0][row - own[0]] : run.rows[1][row - t]) + (look.reading === "correlation" ? "" : ` (${rowUnit(run, shot, row)})`);
+  columns.forEach((column, j) => {
+    ctx.save();
+    ctx.translate(x0 + cell * (j + 0.5), y0 - 4);
+    ctx.rotate(-Math.PI / 4);
+    label(ctx, name(column), 0, 0, look.ink, look.paper);
+    ctx.restore();
+  });
+  own.forEach((row, i) => {
+    label(ctx, name(row), x0 - 4, y0 + high * (i + 0.6), look.ink, look.paper, "right");
+    shown.values.push(columns.map((column) => all[row * d + column]));
+    shown.values[i].forEach((value, j) => {
+      const strength = Number.isNaN(value) ? 0 : look.toScale(value), gap = j < 3 ? 0 : 2;
+      ctx.fillStyle = Number.isNaN(value) ? look.colours.faded : css(shade(look.table, strength));
+      ctx.fillRect(x0 + cell * j + gap, y0 + high * i, cell - 1, high - 1);
+      ctx.fillStyle = Math.abs(strength) > 0.55 ? "#ffffff" : look.dark && !Number.isNaN(value) ? "#e8e8e8" : "#1a1a1a";
+      ctx.font = "10px system-ui, sans-serif";
+      ctx.textAlign = "center";
+      const text = Number.isNaN(value) ? "new" : look.reading === "correlation" ? value.toFixed(2) : value.toExponential(0);
+      ctx.fillText(text.replaceAll("-", "−"), x0 + cell * (j + 0.5) + gap, y0 + high * (i + 0.6));
+      ctx.font = "11px system-ui, sans-serif";
+    });
+  });
+  ctx.textAlign = "left";
+  return shown;
+}
+
 /** The numbers that the matrix shows, (d, d) row by row; NaN for a change of rows that are new. */
 function readMatrix(run, look) {
   const shot = snapshot(run, look.i), d = shot.sigma.length, values = new Float32Array(d * d);
@@ -806,7 +845,7 @@ function drawLandmark(canvas, look, history, runs) {
   const now = runs.map((run) => snapshot(run, look.i)), at = now.map((s) => s.ids.indexOf(look.chosen));
   shown.axes = now.map((s, r) => (at[r] < 0 ? null : [...s.axes.subarray(3 * at[r], 3 * at[r] + 3)]));
   const words = [[`landmark ${look.chosen}: `, c.measured], ...(shown.axes[0]
-    ? shown.axes[0].map((v, axis) => [`${["longest", "middle", "shortest"][axis]} σ ${metres(v)}  `, hues[axis]])
+    ? shown.axes[0].map((v, axis) => [`${["σ longest", "middle", "shortest"][axis]} ${metres(v)} `, hues[axis]])
     : [["not in the state now", look.ink]])];
   labels(ctx, 4, 11, look, words);
   shown.words = words.map(([text]) => text).join("");
@@ -1254,10 +1293,12 @@ function render({ model, el }) {
       else if (run.sights) add("image", `left image, ${run.name}`, run, look.apart ? 6 : b, top);
     }
     if (two && root.clientWidth < 860) drawn.forEach((run) => run.matrix && add("matrix", `joint covariance, ${run.name}`, run, 6, 220));
-    if (some.first[some.first.length - 1] > 0) add("landmark", "one landmark through time", drawn, 6, low);
+    if (some.first[some.first.length - 1] > 0) add("landmark", "one landmark through time", drawn, !two && some.matrix ? 4 : 6, low);
     else if (some.matrix) add("matrix", "covariance of the pose", some, look.apart ? 4 : 6, low + 20);
     if (look.apart) add("map", `map, ${some.name}`, some, 4, low + 20);
-    if (some.series.length) add("time", "errors through time", drawn, look.apart ? 4 : 6, low + (some.first[some.first.length - 1] > 0 ? 0 : 20));
+    const blocks = !two && some.matrix && !look.apart;
+    if (blocks) add("blocks", "blocks of the chosen landmark", some, 4, low);
+    if (some.series.length) add("time", "errors through time", drawn, look.apart || blocks ? 4 : 6, low + (some.first[some.first.length - 1] > 0 ? 0 : 20));
     views = list.map(({ kind, name, run, columns, height }) => {
       const canvas = make("canvas", { tabIndex: 0, role: "img", ariaLabel: name });
       const box = make("figure", { className: "vx-view" }, canvas);
@@ -1293,7 +1334,7 @@ function render({ model, el }) {
     for (const { kind, run, canvas, name } of views) {
       if (!canvas.clientWidth) continue;
       if (canvas.nextSibling) canvas.nextSibling.style.color = run.colour; // the run's name on its map
-      const paint = { map: drawMap, pose: drawPose, matrix: drawMatrix, image: drawImage, landmark: drawLandmark, time: drawTime }[kind];
+      const paint = { map: drawMap, pose: drawPose, blocks: drawBlocks, matrix: drawMatrix, image: drawImage, landmark: drawLandmark, time: drawTime }[kind];
       const numbers = paint(canvas, look, history, run);
       canvas.ariaLabel = numbers.words ? `${name}: ${numbers.words}` : name;
       if (kind in shown) shown[kind].push(numbers);

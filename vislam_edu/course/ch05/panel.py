@@ -19,8 +19,8 @@ from ..panels import add_axes, legend_above
 
 AS_IT_WAS, WHAT_IF = "as it was", "what if"
 STEPS = ("1 birth", "2 looks", "3 drive", "4 one more look")
-CONTROLS: dict[str, Number | Choice] = {"after": Choice("after", STEPS[0], STEPS),
-                                        "looks": Number("looks in step 2", 5, 1, 99, 1)}
+CONTROLS: dict[str, Number | Choice] = {
+    "after": Choice("after", STEPS[0], STEPS), "looks": Number("looks in step 2", 5, 1, 99, 1)}
 START_SIGMA, LOOK_SIGMA, DRIVE_SIGMA = 1.0, 0.1, 2.0  # m, of the two numbers: the car, a look at m - p, the drive
 
 

@@ -282,7 +282,7 @@ def judged(run: Callable, drive: Drive, limit: float = LIMIT, error_state: Error
 class Score:
     """The whole filter: `drives`, a `Judged` for each. student : the number that gave the unseen drives.
 
-    verdict : of `check.filter_run`; None where nothing ran, or where the covariance is of another error.
+    verdict : of the check of `filter_run`; None where nothing ran, or where the covariance is of another error.
     """
 
     student: int | str

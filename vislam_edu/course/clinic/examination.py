@@ -174,6 +174,10 @@ def page(exam: Examination, student: str, note: str = "") -> str:
                         kinds=_words(KINDS), patients="".join(sections))
 
 
+class _Server(ThreadingHTTPServer):
+    request_queue_size = 128  # a class that opens its links at once; the default of 5 turns some away
+
+
 def server(exam: Examination, address: tuple[str, int]) -> ThreadingHTTPServer:
     """A server of all pages, bound to (host, port) but not yet serving; port 0 takes a free one."""
     students = {f"/{exam.token(student)}": student for student in exam.students}
@@ -211,4 +215,4 @@ def server(exam: Examination, address: tuple[str, int]) -> ThreadingHTTPServer:
             self.send_header("Location", f"{self.path}#p{number}")
             self.end_headers()
 
-    return ThreadingHTTPServer(address, Handler)
+    return _Server(address, Handler)
