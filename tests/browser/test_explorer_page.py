@@ -342,7 +342,7 @@ def test_the_label_of_each_canvas_says_what_is_shown_now(opened, explorers, step
         assert f"heading {heading:.3g}°; {len(belief.ids)} landmarks" in labels("map")
         assert f"correlation of {len(belief.ids)} landmarks and the pose; landmark 13, " in labels("joint covariance")
         sigma = np.sqrt(np.linalg.eigvalsh(belief.landmark_covariance[belief.ids.tolist().index(13)])[2])
-        assert f"landmark 13: longest σ {sigma:.3g} m" in labels("one landmark")
+        assert f"landmark 13: σ longest {sigma:.3g} m" in labels("one landmark")
         assert re.search(r"correlation: landmark \d+ -?\d\.\d\d, pose [a-z ]+ -?\d\.\d\d", labels("one landmark"))
         press(opened_page, "ArrowRight")
     select(opened_page, "matrix", "change")

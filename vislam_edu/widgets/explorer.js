@@ -845,7 +845,7 @@ function drawLandmark(canvas, look, history, runs) {
   const now = runs.map((run) => snapshot(run, look.i)), at = now.map((s) => s.ids.indexOf(look.chosen));
   shown.axes = now.map((s, r) => (at[r] < 0 ? null : [...s.axes.subarray(3 * at[r], 3 * at[r] + 3)]));
   const words = [[`landmark ${look.chosen}: `, c.measured], ...(shown.axes[0]
-    ? shown.axes[0].map((v, axis) => [`${["σ longest", "middle", "shortest"][axis]} ${metres(v)} `, hues[axis]])
+    ? shown.axes[0].map((v, axis) => [`${["σ longest", "middle", "shortest"][axis]} ${metres(v)}${axis < 2 ? ", " : " "}`, hues[axis]])
     : [["not in the state now", look.ink]])];
   labels(ctx, 4, 11, look, words);
   shown.words = words.map(([text]) => text).join("");
