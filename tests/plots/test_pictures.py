@@ -12,7 +12,7 @@ from vislam_edu.course.ch01.panel import TwistPicture
 from vislam_edu.course.ch02 import panel as stereo_depth
 from vislam_edu.course.ch02.panel import StereoDepthPicture
 from vislam_edu.course.ch03 import panel as two_gaussians
-from vislam_edu.course.ch03.panel import TwoGaussiansPicture
+from vislam_edu.course.ch03.panel import ON_RAY, PRIOR, RayPicture, TwoGaussiansPicture, ray_update
 from vislam_edu.course.ch05 import panel as chapter05
 from vislam_edu.widgets import Panel
 
@@ -23,7 +23,7 @@ RADIUS2 = chi2.ppf(0.95, 2)
 def pictures():
     """Every picture with the states in which it is looked at."""
     panels = []
-    for picture in (TwistPicture(), StereoDepthPicture(), TwoGaussiansPicture()):
+    for picture in (TwistPicture(), StereoDepthPicture(), TwoGaussiansPicture(), RayPicture()):
         start = {name: control.value for name, control in picture.controls.items()}
         ends = [
             {**start, name: getattr(control, end)}
@@ -152,6 +152,15 @@ def test_two_gaussians_make_the_kalman_update_and_their_product(measured, sigma_
     product = predicted * seen / np.trapezoid(predicted * seen, picture.x)
     np.testing.assert_allclose(both, product, atol=2e-3 * both.max())
     assert picture.bars["both"].get_xdata()[1] == pytest.approx(picture.bars["measured"].get_xdata()[1])
+
+
+@pytest.mark.parametrize(("bearing", "sigma"), [(20.0, 0.3), (-70.0, 1.5)])
+def test_a_ray_adds_information_across_itself_only(bearing, sigma):
+    gain, mean, covariance = ray_update(bearing, sigma)
+    across = np.array([-np.sin(np.radians(bearing)), np.cos(np.radians(bearing))])
+    information = np.linalg.inv(PRIOR) + np.outer(across, across) / sigma**2
+    np.testing.assert_allclose(covariance, np.linalg.inv(information), rtol=1e-9)
+    np.testing.assert_allclose(mean, gain * (across @ ON_RAY), rtol=1e-9)
 
 
 def test_two_numbers_birth_is_the_first_look_and_dropping_the_covariance_is_an_echo():

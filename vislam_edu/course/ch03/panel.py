@@ -1,11 +1,12 @@
-"""Chapter 03: a car on a road and a milestone: a prediction and a measurement, and the Gaussian that they make."""
+"""Chapter 03: a prediction and a measurement, and the Gaussian that they make: on a road, and in the plane."""
 
 import numpy as np
 from scipy.stats import norm
 
-from ...plots.style import COLOURS
+from ... import kalman
+from ...plots.style import COLOURS, ellipse_points
 from ...widgets.canvas import Number, Picture
-from ..panels import add_axes, legend_above
+from ..panels import add_axes, fit_equal, legend_above
 
 PREDICTED = 30.0  # m, where the car is predicted to be
 CONTROLS = {
@@ -13,6 +14,10 @@ CONTROLS = {
     "sigma_predicted": Number("σ predicted (m)", 2.0, 0.5, 4.0, 0.1),
     "sigma_measured": Number("σ measured (m)", 1.0, 0.5, 4.0, 0.1),
 }
+PRIOR = np.array([[2.5, 1.1], [1.1, 1.0]])  # m^2, of the landmark in the plane
+ON_RAY = np.array([1.0, -0.6])  # m, a point of the measured ray
+RAY_CONTROLS = {"bearing": Number("bearing of the ray (°)", 20.0, -90.0, 90.0, 5.0),
+                "sigma": Number("σ across the ray (m)", 0.3, 0.1, 2.0, 0.1)}
 ROWS = {"predicted": COLOURS["prior"], "measured": COLOURS["measured"], "both": COLOURS["posterior"]}
 
 
@@ -65,3 +70,56 @@ class TwoGaussiansPicture(Picture):
         """The picture in words."""
         return ("Three Gaussian densities along a road: predicted, measured, and both together, narrower than either; "
                 "below, their informations as bars, the first two adding up to the third. " + self.caption(**state))
+
+
+def ray_update(bearing, sigma):
+    """Gain (2,), posterior mean (2,) m and covariance (2, 2) m^2 of `PRIOR` and a ray through `ON_RAY`.
+
+    bearing : of the ray, degrees. sigma : of the distance across the ray, m.
+    """
+    H = np.array([[-np.sin(np.radians(bearing)), np.cos(np.radians(bearing))]])
+    S = kalman.innovation_covariance(PRIOR, H, np.array([[sigma**2]]))
+    mean, covariance = kalman.update(PRIOR, H, np.array([[sigma**2]]), H @ ON_RAY)
+    return kalman.gain(PRIOR, H, S)[:, 0], mean, covariance
+
+
+class RayPicture(Picture):
+    """A tilted Gaussian in the plane, a measurement that only knows on which ray the point lies, and their product."""
+
+    name = "a ray in the plane"
+    size = (6.4, 4.4)
+    controls = RAY_CONTROLS
+
+    def build(self):
+        """One pair of axes, equal scales."""
+        self.axes = add_axes(self, (0.1, 0.13, 0.87, 0.7), "Where is the landmark?", "x (m)", "y (m)")
+        fit_equal(self.axes, np.array([[-5.0, -4.0], [5.0, 4.0]]), margin=0.0)
+        (band,) = self.axes.fill([], [], color=COLOURS["measured"], alpha=0.4, lw=0, label="measured ray, 95 %")
+        (after,) = self.axes.plot([], [], "-", lw=2, color=COLOURS["posterior"], label="both, 95 %")
+        (before,) = self.axes.plot(*ellipse_points(np.zeros(2), PRIOR).T, "--", color=COLOURS["prior"],
+                                   label="predicted, 95 %")
+        (move,) = self.axes.plot([], [], ".-", lw=1, color=COLOURS["truth"], label="K r")
+        self.band, self.after, self.move = self.moves(band, after, move)
+        legend_above(self.axes, [before, band, after, move])
+
+    def draw(self, bearing, sigma):
+        """Show a ray of this bearing (degrees), known to sigma (m) across."""
+        _, mean, covariance = ray_update(bearing, sigma)
+        along = np.array([np.cos(np.radians(bearing)), np.sin(np.radians(bearing))])
+        side = 1.96 * sigma * np.array([-along[1], along[0]])
+        self.band.set_xy([ON_RAY + far * along + off * side for far, off in ((-20, -1), (20, -1), (20, 1), (-20, 1))])
+        self.after.set_data(*ellipse_points(mean, covariance).T)
+        self.move.set_data([0, mean[0]], [0, mean[1]])
+
+    def caption(self, bearing, sigma):
+        """Gain, and the standard deviations along and across the ray, before and after."""
+        gain, _, covariance = ray_update(bearing, sigma)
+        along = np.array([np.cos(np.radians(bearing)), np.sin(np.radians(bearing))])
+        lengths = [np.sqrt(d @ P @ d) for d in (along, np.array([-along[1], along[0]])) for P in (PRIOR, covariance)]
+        return ("Gain ({:.2f}, {:.2f}). Standard deviation along the ray {:.2f} → {:.2f} m, across {:.2f} → {:.2f} m."
+                .format(*gain, *lengths))
+
+    def alt(self, **state):
+        """The picture in words."""
+        return ("A tilted ellipse of the prediction, a straight band of the measurement, and the smaller ellipse of both "
+                f"where they overlap. {self.caption(**state)}")
