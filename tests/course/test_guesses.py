@@ -15,7 +15,8 @@ NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
 PROMPT = re.compile(r"^> .*\?|\b[Gg]uess\b", re.MULTILINE)
 # Prompts that the cell after them does not answer: an explorer or panel to step through, a rule of the chapter.
 ANSWERED_BY_HAND = {
-    "00": {"claims-note", "how"}, "01": {"euler-note"}, "05": {"napkin-drive-after", "stepper-after"}, "07": {"watch", "H"},
+    "00": {"claims-note", "how"}, "01": {"euler-note"}, "05": {"napkin-drive-after", "stepper-after"},
+    "07": {"watch", "H"},
     "13": {"stage-update", "score-text", "extensions"}, "14": {"first-read"}, "10": {"camera"},
 }
 

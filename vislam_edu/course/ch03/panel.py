@@ -121,5 +121,5 @@ class RayPicture(Picture):
 
     def alt(self, **state):
         """The picture in words."""
-        return ("A tilted ellipse of the prediction, a straight band of the measurement, and the smaller ellipse of both "
-                f"where they overlap. {self.caption(**state)}")
+        return ("A tilted ellipse of the prediction, a straight band of the measurement, and the smaller ellipse of "
+                f"both where they overlap. {self.caption(**state)}")
