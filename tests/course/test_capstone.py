@@ -309,6 +309,7 @@ def followed(source, scope):
 
 def test_scores_go_to_the_teachers_report(tmp_path, monkeypatch):
     monkeypatch.setattr(capstone, "drives", lambda student: [capstone.unseen(student).slice(0, 30)])
+    monkeypatch.setattr(submission.surroundings, "restored", list)  # it would put the drives back
     monkeypatch.setattr(borrowing, "in_notebook", lambda function: True)
     results, _ = grading._judged(followed("capstone.score(run, student=5)", {"run": filled()["filter_run"]}), [])
     handed = grading.Submission("a.ipynb", list(results.values()))
@@ -343,6 +344,7 @@ def test_a_score_never_replaces_the_verdict_of_the_check(monkeypatch):
             yield np.eye(4), np.empty((0, 3)), np.empty(0, int), noise.initial_pose_covariance
 
     monkeypatch.setattr(capstone, "drives", lambda student: [capstone.unseen(student).slice(0, 10)])
+    monkeypatch.setattr(submission.surroundings, "restored", list)  # it would put the drives back
     monkeypatch.setattr(borrowing, "in_notebook", lambda function: function is not capstone.agreed_run)
     entries = followed("capstone.score(right)\ncapstone.score(capstone.agreed_run)\ncheck.filter_run(wrong)", {
         "wrong": stands_still, "right": filled()["filter_run"], "capstone": capstone})

@@ -460,8 +460,8 @@ def filter_run(drive, noise):
 
 filter_run.slip("IMU sample of the wrong step", """Step k - 1 to k is driven by drive.step_twists[k - 1], the sample of
     the frame it leaves.""", ("drive.step_twists[k - 1]", "drive.twists[k]"))
-filter_run.slip("IMU sample of the step before", """Step k - 1 to k is driven by drive.step_twists[k - 1], the sample of
-    the frame it leaves.""", ("drive.step_twists[k - 1]", "drive.step_twists[max(k - 2, 0)]"))
+filter_run.slip("IMU sample of the step before", """Step k - 1 to k is driven by drive.step_twists[k - 1], not by the
+    sample before that one.""", ("drive.step_twists[k - 1]", "drive.step_twists[max(k - 2, 0)]"))
 filter_run.slip("predicted before frame 0", "Frame 0 is the start: no time has passed, the covariance is Sigma_0.",
     ("if k > 0:", "if True:"), ("drive.step_twists[k - 1], drive.taus[k - 1]",
                                 "drive.step_twists[max(k - 1, 0)], drive.taus[max(k - 1, 0)]"))
@@ -473,7 +473,7 @@ filter_run.slip("no prediction", "Before each frame but the first the IMU moves 
     ("k > 0", "False"))
 filter_run.slip("zero covariance at the start", "The pose starts with noise.initial_pose_covariance.",
     ("noise.initial_pose_covariance", "np.zeros((6, 6))"))
-filter_run.slip("identity covariance at the start", "The pose starts with noise.initial_pose_covariance.",
+filter_run.slip("identity covariance at the start", "The start is known to noise.initial_pose_covariance, not to 1 m.",
     ("noise.initial_pose_covariance", "np.eye(6)"))
 filter_run.slip("predicted after the frame", "First the prediction to frame k, then the frame.",
     ("""        if k > 0:
