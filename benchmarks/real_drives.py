@@ -3,8 +3,8 @@
     python benchmarks/real_drives.py [RECORDING GROUND_TRUTH ...] [--out FILE]
 
 One setting for all recordings: gate 99 %, 1 px, the IMU's noise as the audit measured it. Without arguments the
-recordings of `KNOWN` that this machine has are taken. The table goes to the terminal and, as numbers, to a JSON file
-that chapter 8 reads; nothing of the recordings themselves is in it.
+recordings of `KNOWN` that are in data/ or the working directory are taken. The table goes to the terminal and, as
+numbers, to a JSON file that chapter 8 reads; nothing of the recordings themselves is in it.
 """
 
 import os

@@ -7,6 +7,7 @@ one (a comma separates several), `-D live=` none.
 
 import shutil
 import tempfile
+import tomllib
 from pathlib import Path
 
 import nbformat
@@ -22,6 +23,8 @@ SERIES, COPIES, PAGES = HERE.parent / "notebooks", HERE / "notebooks", HERE / "_
 project, author, release = "vislam_edu", "vislam_edu contributors", vislam_edu.__version__
 extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx-mathjax-offline"]
 (HERE / "_live").mkdir(exist_ok=True)  # Sphinx leaves out a folder that is not there when it begins
+urls = tomllib.loads((HERE.parent / "pyproject.toml").read_text(encoding="utf-8"))["project"]["urls"]
+html_theme_options = {"footer_icons": [{"name": "Repository", "url": urls["Repository"], "html": "Repository", "class": ""}]}
 html_theme, html_title = "furo", "vislam_edu: visual-inertial SLAM"
 html_static_path, html_css_files, html_extra_path = ["_static"], ["site.css"], ["_live"]
 html_js_files = [("site.js", {"defer": "defer"})]
@@ -32,7 +35,7 @@ nb_code_prompt_show, nb_code_prompt_hide = "Guess first, then show the result", 
 myst_enable_extensions = ["amsmath", "dollarmath"]
 myst_heading_anchors = 2
 autodoc_member_order = "bysource"
-autodoc_typehints = "signature"
+autodoc_typehints = "none"  # docstrings give shapes; ArrayLike would be expanded into eight types
 suppress_warnings = ["misc.highlighting_failure", "myst.header", "myst.xref_missing"]
 
 

@@ -66,7 +66,7 @@ if TYPE_CHECKING:
     from .recordings import load
     from .stereo import StereoCamera
 
-__version__ = "0.2.0"
+__version__ = "0.3.0"
 __all__ = [
     "Drive", "InverseDepth", "Noise", "RightInvariant", "RightPerturbation", "StereoCamera", "association", "audit",
     "batch", "belief", "drive", "ekf_slam", "error_state", "imu", "inertial", "inertial_batch", "inverse_depth",

@@ -257,6 +257,7 @@ def _mask(mask: np.ndarray, size: int, what: str) -> np.ndarray:
 
 LARGEST = {"times": 1e12, "twists": 1e4, "pixels": 1e7, "K": 1e6, "baseline": 1e3, "cam_T_imu": 1e3,
            "truth_world_T_cam": 1e9, "truth_landmarks": 1e9}  # far beyond any car, camera or clock: s, m/s, px, m
+SHORTEST, SMALLEST = 1e-9, 1e-6  # s between frames; m, px of baseline and focal length: divided by, they overflow
 
 
 def _check_shape(name: str, value: np.ndarray, shape: tuple[int, ...]) -> None:
@@ -286,11 +287,11 @@ def _check_imu(drive: Drive) -> None:
     if not times.size:
         raise DriveError("times: the recording is empty, it has no frame")
     _check_finite("times", times)
-    stuck = np.flatnonzero(np.diff(times) <= 0)
+    stuck = np.flatnonzero(np.diff(times) < SHORTEST)
     if stuck.size:
         k = stuck[0]
         raise DriveError(f"times: do not increase, frame {k} is at {times[k]} s "
-                         f"and frame {k + 1} at {times[k + 1]} s")
+                         f"and frame {k + 1} at {times[k + 1]} s; expected steps of at least {SHORTEST:g} s")
     _check_shape("twists", drive.twists, (times.size, 6))
     _check_finite("twists", drive.twists)
     if drive.imu_sample not in ("k", "k+1", "mean"):
@@ -299,6 +300,9 @@ def _check_imu(drive: Drive) -> None:
         _check_magnitude(name, getattr(drive, name))
     for name in ("K", "baseline", "cam_T_imu"):
         _check_magnitude(name, getattr(drive.camera, name))
+    for name, value in (("baseline", drive.camera.baseline), ("K", np.diag(drive.camera.K).min())):
+        if value < SMALLEST:
+            raise DriveError(f"{name}: {value:.3g}, expected at least {SMALLEST:g}")
 
 
 def _check_observations(drive: Drive) -> None:

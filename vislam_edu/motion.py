@@ -70,7 +70,7 @@ class Transition:
 
 def symmetric(matrix: np.ndarray) -> np.ndarray:
     """(M + M^T) / 2: takes away what rounding has added to a matrix that is symmetric on paper."""
-    return (matrix + matrix.T) / 2
+    return (matrix + matrix.mT) / 2
 
 
 def propagate(belief: Belief, transition: Transition) -> Belief:

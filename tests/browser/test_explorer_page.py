@@ -1,6 +1,7 @@
 """The explorer in a real browser, in a page without a kernel: its numbers read back from the page."""
 
 import itertools
+import re
 
 import numpy as np
 import pytest
@@ -287,6 +288,33 @@ def test_all_controls_have_names(opened):
     assert all(page.evaluate("() => [...document.querySelectorAll('.vx canvas')].map(e => e.ariaLabel)"))
 
 
+def test_the_label_of_each_canvas_says_what_is_shown_now(opened, explorers, steps):
+    def labels(name):
+        found = opened_page.evaluate("() => [...document.querySelectorAll('.vx canvas')].map(e => e.ariaLabel)")
+        return next(label for label in found if label.startswith(name)).replace("\N{MINUS SIGN}", "-")
+
+    opened_page = opened("joint")
+    select(opened_page, "landmark", 13)
+    opened_page.get_by_label("half-step").focus()
+    for i in (I, I + 1):
+        belief = steps[i // 2].posterior if i % 2 else steps[i // 2].prior
+        heading = np.degrees(np.sqrt(belief.pose_covariance[5, 5]))
+        x, y = belief.world_T_imu[:2, 3]
+        assert f"car at {x:.3g}, {y:.3g} m, σ " in labels("map")
+        assert f"heading {heading:.3g}°; {len(belief.ids)} landmarks" in labels("map")
+        assert f"correlation of {len(belief.ids)} landmarks and the pose; landmark 13, " in labels("joint covariance")
+        sigma = np.sqrt(np.linalg.eigvalsh(belief.landmark_covariance[belief.ids.tolist().index(13)])[2])
+        assert f"landmark 13: longest σ {sigma:.3g} m" in labels("one landmark")
+        assert re.search(r"correlation: landmark \d+ -?\d\.\d\d, pose [a-z ]+ -?\d\.\d\d", labels("one landmark"))
+        press(opened_page, "ArrowRight")
+    select(opened_page, "matrix", "change")
+    assert ": change of" in labels("joint covariance")
+    opened_page = opened("mapping")
+    chosen = state(opened_page)["image"][0]["chosen"]
+    verdict = "accepted" if chosen["accepted"] else "kept out"
+    assert f"NIS {chosen['nis']:.3g} (4 numbers), {verdict}" in labels("left image")
+
+
 def test_ellipses_are_enlarged_and_it_zooms_pans_and_follows(opened):
     page = opened("joint")
     before = state(page)["map"][0]
@@ -318,6 +346,33 @@ def test_two_runs_stand_side_by_side_and_move_together(opened, explorers):
     select(page, "show", 1)
     assert state(page)["map"] != shown["map"]
     assert len(state(page)["map"]) == 1
+
+
+def test_two_magnified_poses_have_one_scale_in_every_half_step(opened):
+    """The larger ellipse is drawn larger; a scale stays, or steps by ten where an ellipse would be a dot."""
+    page, halves = opened("two"), []
+    for i in range(0, 120, 3):
+        page.locator(".vx").evaluate(f"e => e.explorer.go({i})")
+        first, second = (one["inset"] for one in state(page)["map"])
+        assert (first["half"], first["widen"]) == (second["half"], second["widen"])
+        a, b = (np.divide(one["radius"], one["axes"]) for one in (first, second))
+        np.testing.assert_allclose(a, b, rtol=1e-6)
+        halves.append(first["half"])
+        largest = max(2.448 * axis for one in (first, second) for axis in one["axes"])
+        assert largest < first["half"]
+    steps = {round(abs(np.log10(b / a)), 6) for a, b in itertools.pairwise(halves)}
+    assert steps <= {0, 1, 2}
+    assert len(set(halves)) <= 2
+
+
+def test_where_the_pose_is_all_that_is_estimated_it_is_the_large_view(opened, explorers):
+    page = opened("odometry", width=1366, height=768)
+    shown = state(page)
+    assert "inset" not in shown["map"][0]
+    sigma = np.sqrt(np.diag(explorers["odometry"].histories[0].snapshots[I].pose_covariance))
+    assert shown["pose"]["sigmas"][2] == pytest.approx(sigma[5], rel=1e-4)
+    sizes = [page.get_by_role("img", name=name).first.bounding_box()["height"] for name in ("pose", "map")]
+    assert sizes[0] > 1.3 * sizes[1]
 
 
 # --- screens ---

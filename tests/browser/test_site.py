@@ -72,6 +72,13 @@ def test_the_first_page_shows_an_explorer_that_the_keyboard_steps(page, site):
         }""")
 
 
+def test_no_page_is_wider_than_a_small_laptop(page, site):
+    page.set_viewport_size({"width": 1366, "height": 768})
+    for name in ["index", "commands", "teaching", "notation", *(f"notebooks/{name}" for name in BUILT)]:
+        page.goto(f"{site}{name}.html")
+        assert page.evaluate("document.documentElement.scrollWidth") <= 1366, name
+
+
 def test_every_chapter_is_one_click_away_and_its_mathematics_is_set(page, site):
     page.goto(site)
     links = page.locator(".sidebar-tree a").evaluate_all("links => links.map(link => link.href)")

@@ -253,10 +253,11 @@ def test_interrupted_run_leaves_things_as_they_were(where, recording, tmp_path, 
 
 def listen_to_ctrl_c():
     """A test run in the background has inherited a shell's "ignore Ctrl-C"; a program started by hand has not."""
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
+    for number in (signal.SIGINT, signal.SIGHUP):
+        signal.signal(number, signal.SIG_DFL)
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, getattr(signal, "SIGHUP", signal.SIGTERM)])
 def test_a_signal_stops_the_program(number, tmp_path):
     recordings.save(street_loop(seed=6, frames=500), tmp_path / "long.npz")
     process = subprocess.Popen(
@@ -273,6 +274,78 @@ def test_a_signal_stops_the_program(number, tmp_path):
     assert "Traceback" not in err
     assert err.endswith("interrupted; nothing was written\n")
     assert os.listdir(tmp_path) == ["long.npz"]
+
+
+@pytest.mark.skipif(os.name != "posix", reason="there is no SIGHUP")
+def test_under_nohup_the_end_of_the_terminal_is_ignored():
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        with cli._terminable():
+            assert signal.getsignal(signal.SIGHUP) == signal.SIG_IGN
+            assert signal.getsignal(signal.SIGTERM) not in (signal.SIG_DFL, signal.SIG_IGN)
+    finally:
+        signal.signal(signal.SIGHUP, before)
+
+
+def test_a_signal_while_the_scratch_folder_is_made_leaves_nothing(tmp_path, monkeypatch):
+    make = Path.mkdir
+
+    def interrupted(path, *arguments, **options):
+        make(path, *arguments, **options)
+        if ".run.part-" in path.name:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(Path, "mkdir", interrupted)
+    with pytest.raises(KeyboardInterrupt), outputs.appearing_in(tmp_path / "new" / "folder"):
+        pass
+    assert not list(tmp_path.iterdir())
+
+
+def test_what_an_earlier_run_left_and_this_one_does_not_write_goes(tmp_path):
+    for name in (*outputs.SOMETIMES, "summary.json", "mine.png"):
+        (tmp_path / name).write_text("from before")
+    with outputs.appearing_in(tmp_path) as part:
+        (part / "summary.json").write_text("new")
+        (part / "lens.json").write_text("new")
+    assert files(tmp_path) == ["lens.json", "mine.png", "summary.json"]
+    assert (tmp_path / "lens.json").read_text() == "new"
+
+
+def test_covariances_are_written_symmetric(recording, tmp_path, no_figures):
+    options = ["--batch", "--error-state", "inverse-depth", "--sigma-px", "5"]
+    assert cli.main(["run", str(recording), *options, "--out", str(tmp_path), "--quiet"]) == 0
+    with np.load(tmp_path / "result.npz") as result:
+        found = {name: result[name] for name in result if "covariance" in name}
+    assert len(found) == 3
+    for name, covariance in found.items():
+        np.testing.assert_array_equal(covariance, covariance.mT, err_msg=name)
+
+
+@pytest.mark.parametrize("words", [
+    ["audit", "a.npz", "--cured", "a.npz"], ["audit", "a.npz", "--cured", "sub/../a.npz"],
+    ["audit", "a", "--cured", "a.npz"],
+    ["track", "images", "--calibration", "a.npz", "--imu", "b.npz", "--out", "a.npz"],
+    ["run", "result.npz", "--out", "."]], ids=" ".join)
+def test_a_recording_is_not_written_over(words, recording, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "sub").mkdir()
+    for name in ("a.npz", "b.npz", "result.npz"):
+        (tmp_path / name).write_bytes(recording.read_bytes())
+    assert cli.main(words) == 2
+    assert "would be written over" in capsys.readouterr().err
+    assert all((tmp_path / name).read_bytes() == recording.read_bytes() for name in ("a.npz", "result.npz"))
+
+
+@pytest.mark.skipif(os.name != "posix", reason="a shell closes stderr")
+@pytest.mark.parametrize("words", ["run a.npz --out out", "consistency --seeds 1 --frames 10 --out out",
+                                   "exercises --report a.ipynb --out out"])
+def test_a_closed_stderr_stops_nothing(words, tmp_path):
+    recordings.save(recordings.load("first_steps").slice(0, 10), tmp_path / "a.npz")
+    (tmp_path / "a.ipynb").write_text('{"cells": [], "metadata": {}, "nbformat": 4, "nbformat_minor": 5}')
+    command = f"exec {sys.executable} -m vislam_edu {words} 2>&-"
+    ended = subprocess.run(["sh", "-c", command], cwd=tmp_path, stdout=subprocess.PIPE, text=True, check=False)
+    assert (ended.returncode, ended.stdout.count("unforeseen")) == (0, 0)
+    assert list((tmp_path / "out").iterdir())
 
 
 def test_a_target_that_cannot_be_replaced_leaves_everything_as_it_was(tmp_path):

@@ -1,7 +1,5 @@
 """The clinic: healthy patients raise no alarm, every fault is seen by its tests, and answers are scored as promised."""
 
-import csv
-import json
 from dataclasses import replace
 from functools import cache
 from itertools import islice
@@ -10,7 +8,6 @@ import numpy as np
 import pytest
 from whole import few
 
-from vislam_edu import cli
 from vislam_edu.course.clinic import clinic, clinic_tests, patients
 from vislam_edu.course.clinic.clinic_tests import TESTS, bands, read
 from vislam_edu.course.clinic.patients import FAULTS, HEALTHY, Build
@@ -161,67 +158,3 @@ def test_a_wrong_noise_value_is_never_cleared():
                 found = [bands()[test][key].holds(value) for test in clinic_tests.CLEARED_TOGETHER["noise values"]
                          for key, value in read(test, build, 40_000).items()]
                 assert not all(found), (name, severity)
-
-
-# --- examinations -------------------------------------------------------------------------------------------------
-
-def test_an_examination_from_hand_out_to_grade(tmp_path, capsys):
-    key, out = tmp_path / "key.txt", tmp_path / "cases"
-    assert cli.main(["clinic", "hand-out", "--key", str(key), "--students", "ann", "bob", "--patients", "1",
-                     "--level", "1", "--out", str(out)]) == 0
-    ann = json.loads((out / "case_ann.json").read_text())
-    bob = json.loads((out / "case_bob.json").read_text())
-    assert ann["cases"][0]["tests"] != bob["cases"][0]["tests"]  # the noise is keyed too
-    secret = key.read_text().strip()
-    assert secret not in json.dumps(ann)
-    [name] = patients.draw("ann", 1, 1, secret).faults
-    assert FAULTS[name].piece in ann["cases"][0]["suspects"]
-    ann["cases"][0] |= {"ordered": [FAULTS[name].seen_by[0]], "piece": [FAULTS[name].piece],
-                        "kind": [FAULTS[name].kind], "evidence": [FAULTS[name].seen_by[0]]}
-    (out / "case_ann.json").write_text(json.dumps(ann))
-    (out / "case_zoe.json").write_text("[]")
-    capsys.readouterr()
-    assert cli.main(["clinic", "hand-out", "--key", str(key), "--students", "ann", "--out", str(out)]) == 0
-    assert "left as it is" in capsys.readouterr().out
-    assert json.loads((out / "case_ann.json").read_text()) == ann  # answers are not lost to a second hand-out
-    assert cli.main(["clinic", "grade", "--key", str(key), "--answers", str(out), "--out", str(tmp_path)]) == 0
-    rows = list(csv.DictReader((tmp_path / "clinic.csv").open()))
-    assert [row["file"] for row in rows] == ["case_ann.json", "case_bob.json", "case_zoe.json"]
-    assert float(rows[0]["total"]) >= 7
-    assert rows[1]["problem"] == "not answered"
-    assert "not a case file" in rows[2]["problem"]
-    told = json.loads((tmp_path / "clinic.json").read_text())[0]
-    assert told["truth"] == [[FAULTS[name].piece, FAULTS[name].kind]]
-    build = patients.draw("ann", 1, 1, secret).build
-    assert told["diffs"] == [seam.diff for seam in vars(build).values() if hasattr(seam, "diff")]
-
-
-@pytest.mark.parametrize("content", [
-    b"", b"\xff\xfe", b"[" * 100_000, b"{}", b"7", b'{"student": [1], "level": 2, "cases": [{"number": 1}]}',
-    b'{"student": "a", "level": 9, "cases": [{"number": 1, "ordered": ["\x1b[31m"], "piece": [], "kind": []}]}',
-    b'{"student": "a", "level": 1, "cases": [{"number": 1, "ordered": ["\\u001b[31m"], "piece": [], "kind": []}]}',
-    b'{"student": "a", "level": 1, "cases": [{"number": NaN, "ordered": 3, "piece": [], "kind": []}, 5]}',
-    b'{"student": "a", "level": [], "cases": {"number": -1}}', None])
-def test_any_bytes_handed_in_are_one_row_or_more_and_cost_the_others_nothing(content, tmp_path, capsys):
-    (tmp_path / "k").write_text("secret\n")
-    answers = tmp_path / "answers"
-    answers.mkdir()
-    blank = {"number": 1, "ordered": [], "piece": [], "kind": [], "evidence": []}
-    (answers / "b.json").write_text(json.dumps({"student": "b", "level": 1, "cases": [blank]}))
-    (answers / "a.json").mkdir() if content is None else (answers / "a.json").write_bytes(content)
-    assert cli.main(["clinic", "grade", "--key", str(tmp_path / "k"), "--answers", str(answers),
-                     "--out", str(tmp_path)]) == 0
-    rows = list(csv.DictReader((tmp_path / "clinic.csv").open()))
-    assert rows[-1]["problem"] == "not answered"
-    assert {row["file"] for row in rows} == {"a.json", "b.json"}
-    assert all(row["problem"] for row in rows)
-    assert "\x1b" not in capsys.readouterr().out
-
-
-def test_an_examination_needs_students_and_a_key(tmp_path, capsys):
-    assert cli.main(["clinic", "hand-out", "--key", str(tmp_path / "k")]) == 2
-    (tmp_path / "k").write_text("\n")
-    assert cli.main(["clinic", "hand-out", "--key", str(tmp_path / "k"), "--students", "a"]) == 2
-    assert cli.main(["clinic", "hand-out", "--key", str(tmp_path / "k"), "--students", "../a"]) == 2
-    assert cli.main(["clinic", "grade", "--key", str(tmp_path / "k"), "--answers", str(tmp_path)]) == 2
-    assert "the key is empty" in capsys.readouterr().err

@@ -8,11 +8,13 @@ from dataclasses import replace
 import numpy as np
 import picture_checks
 import pytest
+from matplotlib import rcParams
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.quiver import Quiver
+from matplotlib.text import Text
 
 from vislam_edu import ekf_slam, odometry, plots, se3, window_slam
 from vislam_edu.course.ch00 import figures as chapter00
@@ -56,6 +58,15 @@ def outlines(axes):
 
 
 # --- style ------------------------------------------------------------------------------------------------
+
+
+def test_a_users_settings_ask_for_nothing_that_may_be_missing(result, monkeypatch):
+    monkeypatch.setitem(rcParams, "text.usetex", True)
+    monkeypatch.setitem(rcParams, "font.family", ["No such font"])
+    for draw in report_figures.FIGURES.values():
+        texts = draw(result).findobj(Text)
+        assert not any(text.get_usetex() for text in texts)
+        assert {family for text in texts for family in text.get_fontfamily()} == {"DejaVu Sans"}
 
 
 def test_ellipse_holds_the_share_of_samples_that_it_promises():

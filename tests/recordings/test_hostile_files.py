@@ -5,6 +5,7 @@ import os
 import pickle
 import struct
 import zipfile
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -183,6 +184,15 @@ def test_the_own_format_is_checked_field_by_field(tmp_path, field, value):
     ("truth_landmarks", lambda d: d.replace(truth_landmarks=d.truth_landmarks * 1e150))], ids=lambda v: str(v)[:20])
 def test_absurd_magnitudes_are_refused_with_their_bound(field, change):
     with pytest.raises(DriveError, match=f"{field}: .*expected absolute values up to"):
+        change(recordings.load("first_steps"))
+
+
+@pytest.mark.parametrize(("field", "change"), [
+    ("times", lambda drive: drive.replace(times=drive.times * 1e-300)),
+    ("baseline", lambda drive: drive.replace(camera=replace(drive.camera, baseline=1e-150))),
+    ("K", lambda drive: drive.replace(camera=replace(drive.camera, K=drive.camera.K * [[1e-9], [1e-9], [1]])))])
+def test_numbers_too_small_to_divide_by_are_named(field, change):
+    with pytest.raises(DriveError, match=f"{field}: .*expected .*at least"):
         change(recordings.load("first_steps"))
 
 

@@ -7,13 +7,14 @@ needs, is imported when the command runs.
 import argparse
 import contextlib
 import io
+import os
 import signal
 import sys
 import traceback
 from importlib import import_module
 from importlib.metadata import entry_points
 from pathlib import Path
-from typing import NoReturn
+from typing import NoReturn, TextIO
 
 BAD_INPUT, INTERRUPTED = 2, 130
 
@@ -32,7 +33,7 @@ class Parser(argparse.ArgumentParser):
     """Says what is wrong in one line, as every other error here does."""
 
     def error(self, message) -> NoReturn:
-        self.exit(BAD_INPUT, _one_line(f"{self.prog}: {message} (--help explains)") + "\n")
+        raise SystemExit(_stopped(f"{self.prog}: {message} (--help explains)", BAD_INPUT))
 
 
 def parser(argv) -> Parser:
@@ -72,6 +73,8 @@ def main(argv=None, do=None) -> int:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")  # a terminal without the letters of a name shows question marks
+    if sys.stderr is None:  # closed, as by 2>&-
+        sys.stderr = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115
     try:
         with _terminable():
             return (do or dispatch)(sys.argv[1:] if argv is None else list(argv))
@@ -99,19 +102,20 @@ def main(argv=None, do=None) -> int:
 
 @contextlib.contextmanager
 def _terminable():
-    """SIGTERM interrupts as Ctrl-C does, so that what is half-written is cleaned up."""
+    """SIGTERM and SIGHUP interrupt as Ctrl-C does, so that what is half-written is cleaned up; nohup stays as it is."""
     def interrupt(*_):
         raise KeyboardInterrupt
 
+    signals = [number for name in ("SIGTERM", "SIGHUP") if (number := getattr(signal, name, None))
+               and signal.getsignal(number) != signal.SIG_IGN]
+    before = {}
     try:
-        before = signal.signal(signal.SIGTERM, interrupt)
-    except ValueError:  # not the main thread
-        yield
-        return
-    try:
+        with contextlib.suppress(ValueError):  # not the main thread
+            before = {number: signal.signal(number, interrupt) for number in signals}
         yield
     finally:
-        signal.signal(signal.SIGTERM, before)
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def _caused_by_interrupt(error: BaseException | None) -> bool:
@@ -121,13 +125,13 @@ def _caused_by_interrupt(error: BaseException | None) -> bool:
     return error is not None
 
 
-def _one_line(text: str) -> str:
-    """Without line ends and other control characters, which a file or an option may have brought."""
-    return "".join(c if c.isprintable() else "?" for c in " ".join(text.split()))
+def say(text: object, file: TextIO | None = None, end: str = "\n") -> None:
+    """Print text, on stdout by default, without the control characters that a file or its name may have brought."""
+    print("".join(c if c.isprintable() or c == "\n" else "?" for c in str(text)), file=file, end=end)
 
 
 def _stopped(message: str, status: int) -> int:
     """Say why on one line of stderr, where there is one, and return the exit status."""
     with contextlib.suppress(OSError, ValueError):  # stderr may be closed
-        print(_one_line(message), file=sys.stderr)
+        say(" ".join(message.split()), file=sys.stderr)
     return status

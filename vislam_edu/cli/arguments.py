@@ -93,6 +93,15 @@ def read_recording(arguments):
     return drive
 
 
+def keep(target: Path, option: str, *inputs: str | Path | None) -> None:
+    """Raises OptionError when what an option writes would take the place of a file that is read."""
+    from .. import recordings
+
+    read = [Path(name) if Path(name).exists() else recordings.find(name) for name in inputs if name]
+    if target.exists() and any(path and target.samefile(path) for path in read):
+        raise OptionError(f"{option}: {target} would be written over, which is read; take another name")
+
+
 def ground_truth_doubts(arguments, drive) -> list[str]:
     """What speaks against the file given with --ground-truth: a sentence, or none."""
     from ..audit import ground_truth_checks

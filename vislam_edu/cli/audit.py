@@ -4,7 +4,8 @@ import json
 import sys
 from pathlib import Path
 
-from .arguments import OptionError, add_recording, read_recording
+from . import say
+from .arguments import OptionError, add_recording, keep, read_recording
 
 
 def add_arguments(parser):
@@ -24,12 +25,14 @@ def run(arguments) -> int:
 
     if arguments.figure and arguments.figure.suffix not in (".png", ".pdf", ".svg"):
         raise OptionError(f"{arguments.figure}: expected a name that ends in .png, .pdf or .svg")
+    if arguments.cured:
+        keep(arguments.cured, "--cured", arguments.recording, arguments.accelerometer, arguments.ground_truth)
     report = audit(read_recording(arguments))
-    print(json.dumps(report.to_dict(), indent=2) if arguments.json else report)
+    say(json.dumps(report.to_dict(), indent=2) if arguments.json else report)
     if arguments.figure:
         report.figure().savefig(arguments.figure, dpi=150)
-        print(f"figure: {arguments.figure}", file=sys.stderr)
+        say(f"figure: {arguments.figure}", file=sys.stderr)
     if arguments.cured:
         recordings.save(report.cured(needs_future=not arguments.causal), arguments.cured)
-        print(f"cured drive: {arguments.cured}", file=sys.stderr)
+        say(f"cured drive: {arguments.cured}", file=sys.stderr)
     return 0

@@ -37,7 +37,7 @@ def run(arguments) -> int:
     sensors = sigmas(arguments)
     make_drive = functools.partial(simulate.street_loop, frames=arguments.frames or 500, **sensors)
     try:
-        with joblib.parallel_config(n_jobs=arguments.workers):
+        with files.made_folder(arguments.out), joblib.parallel_config(n_jobs=arguments.workers):
             studies = consistency.monte_carlo(make_drive, consistency.standard_filters(Noise(**sensors)),
                                               range(arguments.seeds), arguments.out)
     except ValueError as error:
@@ -63,10 +63,9 @@ def run_regimes(arguments) -> int:
         raise OptionError(f"consistency --regime: {unknown.pop()!r} is not one of all, {', '.join(regimes.REGIMES)}")
     options = {"frames": arguments.frames} if arguments.frames else {}
     found: dict[str, dict] = {}
-    arguments.out.mkdir(parents=True, exist_ok=True)
     for name in names:
         try:
-            with joblib.parallel_config(n_jobs=arguments.workers):
+            with files.made_folder(arguments.out), joblib.parallel_config(n_jobs=arguments.workers):
                 found[name] = regimes.study(name, range(arguments.seeds), **options)
         except ValueError as error:
             raise OptionError(f"consistency --regime {name}: {error}") from None

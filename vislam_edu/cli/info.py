@@ -2,6 +2,7 @@
 
 import sys
 
+from . import say
 from .arguments import add_recording, ground_truth_doubts, read_recording
 
 
@@ -15,7 +16,7 @@ def run(arguments):
     from . import outputs
 
     drive = read_recording(arguments)
-    print(outputs.description(drive))
+    say(outputs.description(drive))
     for doubt in ground_truth_doubts(arguments, drive):
-        print(f"warning: {doubt}", file=sys.stderr)
+        say(f"warning: {doubt}", file=sys.stderr)
     return 0

@@ -5,17 +5,19 @@ import json
 import math
 import os
 import shutil
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 
 from .. import metrics, recordings, se3
+from ..motion import symmetric
 from ..plots import report_figures, style
-from ..recordings.files import part_of
+from ..recordings.files import made_folder, part_of
 from ..studies import run_warnings, runs
 
 PNG = style.PNG | {"pil_kwargs": {"compress_level": 3}}  # 2 % more bytes than 6, the default, in a third of the time
+SOMETIMES = ("lens.json", "fig8_batch.png")  # files that not every run leaves
 
 
 def summary(result, smoothed=None, lens=None, warnings=()) -> dict:
@@ -138,12 +140,12 @@ def write(result, folder, smoothed=None, lens=None, warnings=()):
         folder / "result.npz",
         times=drive.times,
         world_T_imu=slam.trajectory.world_T_imu,
-        pose_covariance=slam.trajectory.covariance,
+        pose_covariance=symmetric(slam.trajectory.covariance),
         dead_reckoning_world_T_imu=result.dead_reckoning.world_T_imu,
-        dead_reckoning_pose_covariance=result.dead_reckoning.covariance,
+        dead_reckoning_pose_covariance=symmetric(result.dead_reckoning.covariance),
         landmark_ids=np.flatnonzero(slam.map.seen),
         landmarks=slam.map.landmarks[slam.map.seen],
-        landmark_covariance=slam.map.covariance[slam.map.seen],
+        landmark_covariance=symmetric(slam.map.covariance[slam.map.seen]),
         **({} if result.calibration is None else {"calibration_covariance": result.calibration}),
         **({} if smoothed is None else {"batch_world_T_imu": smoothed.solution.estimate.world_T_imu,
                                         "batch_landmarks": smoothed.solution.estimate.landmarks}),
@@ -160,19 +162,19 @@ def appearing_in(folder):
     """A scratch folder whose files move into `folder` when the block ends well, and vanish when it does not.
 
     An interrupted run thus leaves nothing half-written and what was there before as it was; so does one that has a file
-    that cannot be put in its place. Entering makes `folder`: one that cannot be written to is found before the work.
+    that cannot be put in its place. Files of an earlier run that this one does not write go.
+    Entering makes `folder`: one that cannot be written to is found before the work.
     """
     folder = Path(folder)
-    made = not folder.exists()
-    if not made and not folder.is_dir():
+    if folder.exists() and not folder.is_dir():
         raise NotADirectoryError(errno.ENOTDIR, "is a file, expected a folder", str(folder))
-    folder.mkdir(parents=True, exist_ok=True)
-    try:
+    with made_folder(folder):
         scratch = part_of(folder, "run")
-        scratch.mkdir()
         try:
+            scratch.mkdir()
             yield scratch
             moves = [(path, folder / path.relative_to(scratch)) for path in sorted(scratch.rglob("*"))]
+            gone = {folder / name for name in SOMETIMES} - {target for _, target in moves}
             for path, target in moves:
                 _check_target(path, target)
             for path, target in moves:
@@ -180,13 +182,10 @@ def appearing_in(folder):
                     target.mkdir(exist_ok=True)
                 else:
                     os.replace(path, target)
+            for path in gone:
+                path.unlink(missing_ok=True)
         finally:
             shutil.rmtree(scratch, ignore_errors=True)
-    except BaseException:
-        if made:
-            with suppress(OSError):  # not empty after all: something else writes there
-                folder.rmdir()
-        raise
 
 
 def _check_target(path: Path, target: Path) -> None:

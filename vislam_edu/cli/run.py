@@ -3,7 +3,18 @@
 import sys
 from pathlib import Path
 
-from .arguments import OptionError, add_noise, add_recording, ground_truth_doubts, number, read_recording, sigmas, whole
+from . import say
+from .arguments import (
+    OptionError,
+    add_noise,
+    add_recording,
+    ground_truth_doubts,
+    keep,
+    number,
+    read_recording,
+    sigmas,
+    whole,
+)
 
 
 def add_arguments(parser):
@@ -94,11 +105,11 @@ def prepare(arguments):
         if not arguments.report_noise:
             base = pipeline.noise_of_real_drive(report.noise)
         if not arguments.quiet:
-            print(report, end="\n\n")
-            print("\n".join(["applied:", *(f"    {cure}" for cure in drive.history)] if drive.history else
+            say(report, end="\n\n")
+            say("\n".join(["applied:", *(f"    {cure}" for cure in drive.history)] if drive.history else
                             ["nothing to cure"]), end="\n\n")
             if "metre" in options:
-                print(scale.EXPLAINED, end="\n\n")
+                say(scale.EXPLAINED, end="\n\n")
     else:
         warnings = run_warnings.of_recording(drive)
     return drive.subsample(arguments.every), dataclasses.replace(base, **sigmas(arguments)), options, warnings
@@ -127,7 +138,7 @@ def correct_lens(arguments, drive, noise):
         found, smoothed = lens_errors.estimate(pipeline.batch_of_real_drive(drive, noise, scale_sigma=0.05))
         warnings = [f"lens: {warning}" for warning in run_warnings.of_batch(smoothed)]
     if not arguments.quiet:
-        print(found, end="\n\n")
+        say(found, end="\n\n")
     return found.corrected(drive), found, warnings
 
 
@@ -173,6 +184,7 @@ def run(arguments):
         raise OptionError("run: --causal and --force say which cures to apply, so they need --audit")
     if arguments.lens and (arguments.causal or not arguments.audit):
         raise OptionError("run: --lens needs --audit and the whole drive, so not --causal; --lens-from needs neither")
+    keep(arguments.out / "result.npz", "--out", arguments.recording)
     error_state = error_state_of(arguments)
     drive, noise, options, warnings = prepare(arguments)
     method = "report" if error_state.role == "slam" and arguments.report_noise else error_state.role
@@ -203,8 +215,8 @@ def run(arguments):
             smoothed = pipeline.run_batch(problem, result.slam.trajectory.world_T_imu)
         numbers = outputs.write(result, folder, smoothed, found, [*ground_truth_doubts(arguments, drive), *warnings])
     if not arguments.quiet:
-        print(outputs.table(numbers))
-        print(f"written to {arguments.out}")
+        say(outputs.table(numbers))
+        say(f"written to {arguments.out}")
     for warning in numbers["warnings"]:
-        print(f"warning: {warning}", file=sys.stderr)
+        say(f"warning: {warning}", file=sys.stderr)
     return 0

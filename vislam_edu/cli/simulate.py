@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+from . import say
 from .arguments import SIGMAS, OptionError, add_noise, number, whole
 
 
@@ -20,6 +21,7 @@ def add_arguments(parser):
 def run(arguments):
     """Write the drive; returns the exit status."""
     from .. import recordings
+    from ..recordings import files
     from ..simulate import street_loop
 
     names = ("seed", "frames", *SIGMAS, "gyro_bias", "outlier_share")
@@ -29,7 +31,7 @@ def run(arguments):
         raise OptionError(f"simulate: {error}") from None
     if arguments.out.suffix != ".npz":
         raise OptionError(f"{arguments.out}: expected a name that ends in .npz")
-    arguments.out.parent.mkdir(parents=True, exist_ok=True)
-    recordings.save(drive, arguments.out)
-    print(f"{drive.n_frames} frames, {drive.n_landmarks} landmarks written to {arguments.out}")
+    with files.made_folder(arguments.out.parent):
+        recordings.save(drive, arguments.out)
+    say(f"{drive.n_frames} frames, {drive.n_landmarks} landmarks written to {arguments.out}")
     return 0

@@ -2,7 +2,8 @@
 
 from pathlib import Path
 
-from .arguments import OptionError, whole
+from . import say
+from .arguments import OptionError, keep, whole
 
 _STORE_EVERY = 100  # pairs between two states written, from which an interrupted command goes on
 
@@ -52,10 +53,11 @@ def run(arguments):
 
     from .. import recordings, tracking
     from ..drive import DriveError
-    from ..recordings import images
+    from ..recordings import files, images
 
     if arguments.out.suffix != ".npz":
         raise OptionError(f"{arguments.out}: expected a name that ends in .npz")
+    keep(arguments.out, "--out", *arguments.images, *arguments.calibration, arguments.imu, arguments.accelerometer)
     pairs = images.open_pairs(arguments.images)
     rig, make = images.open_calibration(arguments.calibration, pairs.first)
     if arguments.imu:
@@ -69,25 +71,24 @@ def run(arguments):
     if n < 2:
         raise DriveError(f"{arguments.images[0]}: {n} pairs of images with a time, expected at least 2")
     twists = images.twists_at(times[:n], imu_times, twists)
-    arguments.out.parent.mkdir(parents=True, exist_ok=True)
-
-    state = arguments.out.with_suffix(".tracking.npz")
-    frames = _stored(state, n)
-    flow = opencv_flow if find_spec("cv2") else tracking.flow  # OpenCV where it is installed: the extra `tracks`
-    first = max(0, len(frames) - 1)
-    found = tracking.track((pairs[k] for k in range(first, n)), rig, visible=arguments.visible, flow=flow,
-                           after=frames[-1] if frames else None)
-    for frame in tqdm(found, total=n, initial=len(frames), unit="pair", disable=arguments.quiet):
-        frames.append(frame)
-        if len(frames) % _STORE_EVERY == 0:
-            _store(state, frames)
-    drive = make(frames, times[:n], twists, name=arguments.out.stem, source=f"images of {arguments.images[0].name}")
-    if arguments.accelerometer:
-        drive = recordings.load_imu(arguments.accelerometer, drive)
-    recordings.save(drive, arguments.out)
-    state.unlink(missing_ok=True)
+    with files.made_folder(arguments.out.parent):
+        state = arguments.out.with_suffix(".tracking.npz")
+        frames = _stored(state, n)
+        flow = opencv_flow if find_spec("cv2") else tracking.flow  # OpenCV where it is installed: the extra `tracks`
+        first = max(0, len(frames) - 1)
+        found = tracking.track((pairs[k] for k in range(first, n)), rig, visible=arguments.visible, flow=flow,
+                               after=frames[-1] if frames else None)
+        for frame in tqdm(found, total=n, initial=len(frames), unit="pair", disable=arguments.quiet):
+            frames.append(frame)
+            if len(frames) % _STORE_EVERY == 0:
+                _store(state, frames)
+        drive = make(frames, times[:n], twists, name=arguments.out.stem, source=f"images of {arguments.images[0].name}")
+        if arguments.accelerometer:
+            drive = recordings.load_imu(arguments.accelerometer, drive)
+        recordings.save(drive, arguments.out)
+        state.unlink(missing_ok=True)
     if not arguments.quiet:
-        print(f"{n} pairs, {drive.n_landmarks} tracks; written to {arguments.out}")
+        say(f"{n} pairs, {drive.n_landmarks} tracks; written to {arguments.out}")
     return 0
 
 

@@ -239,7 +239,8 @@ def _landmark_error(drive, belief):
     if not drive.has_true_landmarks:
         return ""
     error = np.linalg.norm(drive.true_landmarks - belief.landmarks, axis=-1)[belief.seen]
-    return f"; {np.nanmedian(error):.2f} m from the truth (median)"
+    error = error[np.isfinite(error)]
+    return f"; {np.median(error):.2f} m from the truth (median)" if error.size else ""
 
 
 def _median_move(before, after):

@@ -47,7 +47,8 @@ _RC: dict[Any, Any] = {
     "legend.fontsize": 9, "legend.framealpha": 0.9, "legend.edgecolor": "0.8", "axes.spines.top": False,
     "axes.spines.right": False, "axes.grid": True, "axes.axisbelow": True, "grid.color": "0.9", "grid.linewidth": 0.8,
     "axes.formatter.min_exponent": 6,  # on logarithmic scales 100, not 10², whose exponent is too small to read
-    "lines.linewidth": 1.6, "lines.markersize": 4, "image.cmap": "cividis"}
+    "lines.linewidth": 1.6, "lines.markersize": 4, "image.cmap": "cividis",
+    "text.usetex": False, "font.family": "DejaVu Sans"}  # a user's matplotlibrc may ask for what is not installed
 
 # For savefig: the name of matplotlib's version would make files differ that show the same.
 PNG: dict[str, Any] = {"metadata": {"Software": None}}

@@ -15,7 +15,7 @@ import shutil
 import warnings
 import zipfile
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from math import prod
 from pathlib import Path
 from typing import BinaryIO
@@ -257,6 +257,22 @@ def _runs(process: int) -> bool:
     except PermissionError:
         pass
     return True
+
+
+@contextmanager
+def made_folder(path: Path) -> Iterator[None]:
+    """Make a folder, with its parents, for what the block writes; where making it or the block fails, what is empty
+    of them goes again."""
+    path = Path(os.path.realpath(path))  # or a folder that is left again by .. would be made
+    made = [folder for folder in (path, *path.parents) if not folder.exists()]
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+        yield
+    except BaseException:
+        with suppress(OSError):  # something else is there
+            for folder in made:
+                folder.rmdir()
+        raise
 
 
 @contextmanager

@@ -66,8 +66,8 @@ def save(drive, path):
 
 
 def folders() -> list[Path]:
-    """Where `find` looks, in this order: the package's own data/, the working directory, ../shared/data."""
-    return [shipped.ROOT / "data", Path.cwd(), shipped.ROOT.parent / "shared" / "data"]
+    """Where `find` looks, in this order: the package's own data/, the working directory."""
+    return [shipped.ROOT / "data", Path.cwd()]
 
 
 def find(name) -> Path | None:

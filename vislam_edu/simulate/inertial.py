@@ -10,8 +10,6 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from scipy.interpolate import make_interp_spline
-from scipy.spatial.transform import Rotation, RotationSpline
 
 from .. import se3
 from ..drive import Drive
@@ -29,6 +27,9 @@ class SmoothPath:
     """
 
     def __init__(self, times: np.ndarray, world_T_imu: np.ndarray) -> None:
+        from scipy.interpolate import make_interp_spline  # here: `run`, which makes no samples, need not wait for them
+        from scipy.spatial.transform import Rotation, RotationSpline
+
         self._position = make_interp_spline(times, world_T_imu[:, :3, 3], k=5)
         self._rotation = RotationSpline(times, Rotation.from_matrix(world_T_imu[:, :3, :3]))
 

@@ -255,7 +255,7 @@ function drawMap(canvas, look, history, run) {
   const { ctx, w, h } = prepare(canvas), c = look.colours;
   const shot = snapshot(run, look.i), before = look.i > 0 ? snapshot(run, look.i - 1) : null;
   const seen = sights(run, look.i), updated = history.updated[look.i];
-  const place = mapPlace(look, history.bounds, w, h, shot.pose);
+  const side = look.inset ? insetSide(w) : 0, place = mapPlace(look, history.bounds, w, h, shot.pose, side);
   const X = (x) => w / 2 + place.k * (x - place.x), Y = (y) => h / 2 - place.k * (y - place.y);
   const shown = { k: place.k, magnify: look.magnify, landmarks: [], before: 0, lines: 0 };
   const line = (points, step, colour, width) => {
@@ -316,10 +316,14 @@ function drawMap(canvas, look, history, run) {
   shown.numbers = drawNumbers(ctx, numbered, look, c.measured);
   if (Number.isFinite(shot.pose[0])) drawCar(ctx, X(shot.pose[0]), Y(shot.pose[1]), shot.pose[3], look);
   mapLegend(ctx, look, history, place.k, w, h);
-  if (Number.isFinite(shot.inset[8]) && Number.isFinite(shot.inset[0])) {
-    shown.inset = drawPoseInset(ctx, look, history, run, shot, seen, w);
+  if (side) {
+    shown.inset = drawPoseInset(ctx, look, history, run, { x: w - side - 4, y: 4, side });
   }
   shown.pose = [...shot.pose];
+  const [forward, left, heading] = shown.inset ? shown.inset.sigmas : [];
+  shown.words = `car at ${short(shot.pose[0])}, ${short(shot.pose[1])} m${shown.inset
+    ? `, σ ${metres(forward)} forward, ${metres(left)} left, heading ${short(heading * 180 / Math.PI)}°` : ""}; `
+    + `${shown.landmarks.length} landmarks`;
   return shown;
 }
 
@@ -343,8 +347,8 @@ const insetSide = (w) => (w < 330 ? 92 : 124);
  * Scale k (px per m) and centre of the map: everything, zoomed and moved as the reader chose, or around the car.
  * Everything fits beside the magnified pose or below it, whichever leaves more.
  */
-function mapPlace(look, box, w, h, pose) {
-  const side = insetSide(w), width = Math.max(box.x1 - box.x0, 1), height = Math.max(box.y1 - box.y0, 1);
+function mapPlace(look, box, w, h, pose, side) {
+  const width = Math.max(box.x1 - box.x0, 1), height = Math.max(box.y1 - box.y0, 1);
   const fits = [[side, 0], [0, side]].map(([right, top]) => ({ right, top,
     k: Math.min((w - right - 40) / width, (h - top - 46) / height) }));
   const fit = fits[0].k >= fits[1].k ? fits[0] : fits[1], k = fit.k * look.zoom;
@@ -467,7 +471,7 @@ function mapLegend(ctx, look, history, k, w, h) {
   ctx.stroke();
   label(ctx, metres(length), 12, h - 11, look.ink, look.paper);
   if (w > 330) {
-    const words = `${history.truth.landmark ? "+ true   " : ""}dotted: before this ${history.unit}`;
+    const words = `${history.truth.landmark ? "+ true   " : ""}dotted, dashed: before this ${history.unit}`;
     label(ctx, words, w - 6, h - 8, c.expected, look.paper, "right");
   }
   const enlarged = look.magnify > 1 ? `95 % ellipses drawn × ${look.magnify}` : "95 % ellipses";
@@ -477,15 +481,42 @@ function mapLegend(ctx, look, history, k, w, h) {
 }
 
 /**
- * The pose magnified: its 95 % ellipse and heading, what it came from as a faint outline, the truth, and what each
- * landmark pulled. Forward is up. Origin: where the pose was before this step. The side is said in the corner.
+ * Scales of the magnified pose in every snapshot, the same for all runs that are shown: half of its side, m, and the
+ * half angle, rad, that is drawn as 1 rad. They stay over the run, or step by a factor of ten where nothing could be seen.
  */
-function drawPoseInset(ctx, look, history, run, shot, seen, w) {
-  const c = look.colours, p = shot.inset, side = insetSide(w), x0 = w - side - 4, y0 = 4;
+function poseScales(runs, n) {
+  const reach = Array(n).fill(0), turn = Array(n).fill(0);
+  for (const run of runs) {
+    for (let i = 0; i < n; i++) {
+      const p = rows(run, "inset", i), away = Math.hypot(p[8], p[9]);
+      const largest = RADIUS * Math.max(...[0, 4].map((at) => ellipseOf(p[at], p[at + 1], p[at + 2]).a || 0));
+      reach[i] = Math.max(reach[i], 1.1 * largest, away < 8 * largest ? 1.1 * away : 0); // farther: it jumped
+      turn[i] = Math.max(turn[i], 1.96 * Math.max(p[3] || 0, p[7] || 0));
+    }
+  }
+  return { half: ladder(reach), turn: ladder(turn) };
+}
+
+/** A scale for each of the values, none above its scale: that of the largest, or smaller by powers of ten. */
+function ladder(values) {
+  let scale = niceAbove(Math.max(...values, 1e-6));
+  return values.map((v) => {
+    while (v > scale * 1.0001) scale *= 10;
+    while (v > 0 && v < scale / 16) scale /= 10;
+    return scale;
+  });
+}
+
+/**
+ * The pose magnified: its 95 % ellipse and heading, what it came from as a faint outline, the truth, and what each
+ * landmark pulled. Forward is up. Origin: where the pose was before this step. The side is said in the corner, in bold
+ * with the one before where it changes.
+ */
+function drawPoseInset(ctx, look, history, run, { x: x0, y: y0, side }) {
+  const c = look.colours, p = rows(run, "inset", look.i), seen = sights(run, look.i);
   const now = ellipseOf(p[0], p[1], p[2]), was = ellipseOf(p[4], p[5], p[6]);
-  const away = Math.hypot(p[8], p[9]);
-  const largest = RADIUS * Math.max(now.a, was.a || 0), jumped = away > 8 * largest; // then only what is now is shown
-  const half = niceAbove(1.1 * Math.max(largest, jumped ? 0 : away)), [oy, ox] = jumped ? [p[8], p[9]] : [0, 0];
+  const [half, turn] = [look.scales.half[look.i], look.scales.turn[look.i]], widen = Math.max(Number((1 / turn).toPrecision(3)), 1);
+  const [oy, ox] = Math.hypot(p[8], p[9]) > half ? [p[8], p[9]] : [0, 0]; // it jumped: only what is now is shown
   const k = (side - 8) / 2 / half, X = (left) => x0 + side / 2 - k * (left - ox), Y = (forward) => y0 + side / 2 - k * (forward - oy);
   ctx.fillStyle = look.paper;
   ctx.fillRect(x0, y0, side, side);
@@ -498,7 +529,6 @@ function drawPoseInset(ctx, look, history, run, shot, seen, w) {
   ctx.clip();
   // Ellipses are given with x forward, y left; on the screen forward is up: a quarter turn.
   const turned = (e) => ({ ...e, angle: e.angle + Math.PI / 2 });
-  const widen = niceBelow(Math.max(0.45 / Math.max(1.96 * p[3], 1.96 * (p[7] || 0), 1e-6), 1));
   wedge(ctx, X(p[9]), Y(p[8]), p[10], Math.min(1.96 * p[3] * widen, 1.5), 0.42 * side, history.updated[look.i] ? run.ellipse : c.prior);
   tracePath(ctx, X(0), Y(0), turned(was), k);
   ctx.strokeStyle = c.prior;
@@ -534,13 +564,31 @@ function drawPoseInset(ctx, look, history, run, shot, seen, w) {
     ctx.stroke();
   }
   ctx.restore();
-  label(ctx, `pose ± ${metres(half)}`, x0 + 3, y0 + side - 4, look.ink, look.paper);
-  label(ctx, `heading × ${widen}`, x0 + side - 3, y0 + 12, c.expected, look.paper, "right");
+  const before = Math.max(look.i - 1, 0), [halfBefore, turnBefore] = [look.scales.half[before], look.scales.turn[before]];
+  const scale = (text, changed, ...place) => {
+    ctx.font = `${changed ? "bold " : ""}11px system-ui, sans-serif`;
+    label(ctx, text, ...place);
+  };
+  if (half === halfBefore) scale(`pose ± ${metres(half)}`, false, x0 + 3, y0 + side - 4, look.ink, look.paper);
+  else scale(`± ${metres(half)}, was ± ${metres(halfBefore)}`, true, x0 + 3, y0 + side - 4, c.rejected, look.paper);
+  scale(`heading × ${widen}`, turn !== turnBefore, x0 + side - 3, y0 + 12, turn === turnBefore ? c.expected : c.rejected, look.paper, "right");
+  ctx.font = "11px system-ui, sans-serif";
   if (Number.isFinite(off) && !inside) {
     label(ctx, `truth ${metres(off)} off`, x0 + side - 3, y0 + 25, c.rejected, look.paper, "right");
   }
-  return { half, widen, sigmas: [Math.sqrt(p[0]), Math.sqrt(p[2]), p[3]], before: [Math.sqrt(p[4]), Math.sqrt(p[6]), p[7]],
+  return { half, widen, radius: [RADIUS * k * now.a, RADIUS * k * now.b], sigmas: [Math.sqrt(p[0]), Math.sqrt(p[2]), p[3]], before: [Math.sqrt(p[4]), Math.sqrt(p[6]), p[7]],
     offset: [p[8], p[9]], truth: [p[11], p[12]], axes: [now.a, now.b] };
+}
+
+/** The magnified pose as a view of its own, where the pose is all that is estimated. */
+function drawPose(canvas, look, history, run) {
+  const { ctx, w, h } = prepare(canvas), side = Math.min(w - 150, h) - 4, c = look.colours;
+  const shown = drawPoseInset(ctx, look, history, run, { x: 2, y: 2, side });
+  const words = [[history.updated[look.i] ? "pose, updated" : "pose, predicted", history.updated[look.i] ? run.ellipse : c.prior],
+    ["dashed: before this", c.prior], [history.unit, c.prior], ["lines: what each", c.measured], ["landmark pulls", c.measured],
+    ["+ truth", c.truth], ["forward is up", look.ink], ["ellipse: 95 %", look.ink], ["sector: heading", look.ink]];
+  words.forEach(([text, colour], line) => label(ctx, text, side + 12, 16 + 15 * line, colour, look.paper));
+  return { ...shown, words: `${words[0][0]}, forward sigma ${metres(shown.sigmas[0])}, left ${metres(shown.sigmas[1])}` };
 }
 
 /** A sector around a heading (0 is up, to the left is positive), half as wide as `half` rad to each side. */
@@ -590,7 +638,9 @@ function drawMatrix(canvas, look, history, run) {
     ctx.strokeRect(place.x + a, place.y, b - a, at(d));
   }
   drawColourBar(ctx, look, history, w, h);
-  return { reading: look.reading, d, ids: [...shot.ids], values, place: { x: place.x, y: place.y },
+  const words = `${look.reading} of ${n ? `${n} landmarks and ` : ""}the pose`
+    + (chosen < 0 ? "" : `; landmark ${look.chosen}, ${shares(run, shot, chosen)}`);
+  return { words, reading: look.reading, d, ids: [...shot.ids], values, place: { x: place.x, y: place.y },
     framed: chosen, centres: Array.from({ length: d }, (_, row) => (at(row) + at(row + 1)) / 2) };
 }
 
@@ -737,6 +787,7 @@ function drawLandmark(canvas, look, history, runs) {
   shown.words = words.map(([text]) => text).join("");
   if (at[0] >= 0 && runs[0].matrix) {
     shown.shares = shares(runs[0], now[0], at[0]);
+    shown.words += shown.shares;
     label(ctx, shown.shares + (runs.length > 1 ? `; dashed: ${runs[1].name}` : ""), 4, 24, look.ink, look.paper);
   }
   return shown;
@@ -997,6 +1048,7 @@ function drawImage(canvas, look, history, run) {
   const one = seen.find((s) => s.id === look.chosen), top = y0 + k * height + 16;
   if (one) shown.chosen = drawInnovation(ctx, look, updated, one, { x: 6, y: top, w: w - 12, h: h - top - 4 });
   else label(ctx, "chosen landmark: not measured in this frame", x0, top, look.ink, look.paper);
+  shown.words = `${seen.length} landmarks predicted and measured; ${one ? shown.chosen.words : "the chosen one not"}`;
   return shown;
 }
 
@@ -1029,7 +1081,7 @@ function drawInnovation(ctx, look, updated, s, area) {
     `S: σ ${short(Math.sqrt(s.S[0]))}, ${short(Math.sqrt(s.S[2]))} px`, `NIS ${short(s.nis)} (4 numbers)`,
     s.accepted ? "accepted" : "kept out by the gate", updated ? "× after the update" : "× predicted"];
   words.forEach((line, j) => label(ctx, line, area.x + side + 10, area.y + 12 + 14 * j, j === 0 ? c.measured : look.ink, look.paper));
-  return { innovation: r, S: s.S, nis: s.nis, accepted: s.accepted };
+  return { words: words.slice(0, 5).join(", "), innovation: r, S: s.S, nis: s.nis, accepted: s.accepted };
 }
 
 // ----------------------------------------------------------------------------------------------- controls
@@ -1159,18 +1211,24 @@ function render({ model, el }) {
     const all = history.runs, drawn = two ? all : [all[Math.min(look.show, all.length - 1)]], some = drawn[0];
     const top = wide ? 286 : 250, low = wide ? 166 : 170;
     const list = [];
+    look.scales = poseScales(drawn, history.n);
+    const known = Number.isFinite(rows(some, "inset", history.n - 1)[0]); // the pose's covariance
+    look.apart = known && !two && !some.first[some.first.length - 1];
+    look.inset = known && !look.apart;
     const add = (kind, name, run, columns, height) => list.push({ kind, name, run, columns: wide ? columns : 12, height });
     for (const run of drawn) {
       const [a, b] = two ? (root.clientWidth >= 860 ? [3, 3] : [6, 6]) : [7, 5];
-      add("map", `map, ${run.name}`, run, a, top);
+      if (look.apart) add("pose", "pose", run, 6, top);
+      else add("map", `map, ${run.name}`, run, a, top);
       if (two && root.clientWidth < 860) continue;
       if (run.matrix && run.first[run.first.length - 1] > 0) add("matrix", `joint covariance, ${run.name}`, run, b, top);
-      else if (run.sights) add("image", `left image, ${run.name}`, run, b, top);
+      else if (run.sights) add("image", `left image, ${run.name}`, run, look.apart ? 6 : b, top);
     }
     if (two && root.clientWidth < 860) drawn.forEach((run) => run.matrix && add("matrix", `joint covariance, ${run.name}`, run, 6, 220));
     if (some.first[some.first.length - 1] > 0) add("landmark", "one landmark through time", drawn, 6, low);
-    else if (some.matrix) add("matrix", "covariance of the pose", some, 6, low + 20);
-    if (some.series.length) add("time", "errors through time", drawn, 6, low + (some.first[some.first.length - 1] > 0 ? 0 : 20));
+    else if (some.matrix) add("matrix", "covariance of the pose", some, look.apart ? 4 : 6, low + 20);
+    if (look.apart) add("map", `map, ${some.name}`, some, 4, low + 20);
+    if (some.series.length) add("time", "errors through time", drawn, look.apart ? 4 : 6, low + (some.first[some.first.length - 1] > 0 ? 0 : 20));
     views = list.map(({ kind, name, run, columns, height }) => {
       const canvas = make("canvas", { tabIndex: 0, role: "img", ariaLabel: name });
       const box = make("figure", { className: "vx-view" }, canvas);
@@ -1206,7 +1264,7 @@ function render({ model, el }) {
     for (const { kind, run, canvas, name } of views) {
       if (!canvas.clientWidth) continue;
       if (canvas.nextSibling) canvas.nextSibling.style.color = run.colour; // the run's name on its map
-      const paint = { map: drawMap, matrix: drawMatrix, image: drawImage, landmark: drawLandmark, time: drawTime }[kind];
+      const paint = { map: drawMap, pose: drawPose, matrix: drawMatrix, image: drawImage, landmark: drawLandmark, time: drawTime }[kind];
       const numbers = paint(canvas, look, history, run);
       canvas.ariaLabel = numbers.words ? `${name}: ${numbers.words}` : name;
       if (kind in shown) shown[kind].push(numbers);

@@ -4,5 +4,5 @@ COMMANDS = {
     "start": "copy the notebooks into a folder and open them",
     "hand-out": "copy the notebooks, with empty stubs, into a folder for students",
     "exercises": "grade submitted notebooks, list the mistakes that checks know",
-    "clinic": "an examination with unlabelled faults: hand out case files, grade the answers",
+    "clinic": "an examination with unlabelled faults: serve its pages, grade the answers",
 }

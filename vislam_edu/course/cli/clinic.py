@@ -1,79 +1,86 @@
-"""`python -m vislam_edu clinic`: an examination handed out as case files and graded with a secret key."""
+"""`python -m vislam_edu clinic`: an examination served page by page, and graded with a secret key."""
 
+import contextlib
 import json
 import os
 import secrets
 from pathlib import Path
 
+from ...cli import say
 from ...cli.arguments import OptionError, whole
-from ...recordings.files import shown, write_csv, write_text
+from ...recordings.files import made_folder, write_csv, write_text
 
 
 def add_arguments(parser):
     """The options of `clinic`. parser : argparse.ArgumentParser."""
-    parser.add_argument("what", choices=("hand-out", "grade"),
-                        help="hand-out: write one case file a student, with readings only; grade: score their answers")
+    parser.add_argument("what", choices=("serve", "grade"),
+                        help="serve: write links.csv and show each student a page, until Ctrl-C; grade: score the log")
     parser.add_argument("--key", type=Path, required=True, metavar="FILE",
-                        help="the secret that the patients are drawn with; hand-out makes the file where it is missing")
-    parser.add_argument("--students", nargs="+", default=[], metavar="NAME", help="for hand-out: names or numbers")
-    parser.add_argument("--patients", type=whole(1), default=3, metavar="N", help="for each student (default: 3)")
+                        help="the secret that the patients are drawn with; serve makes the file where it is missing")
+    parser.add_argument("--students", nargs="+", default=[], metavar="NAME", help="for serve: names or numbers")
+    parser.add_argument("--roster", type=Path, metavar="FILE", help="for serve: a CSV as for `exercises`")
+    parser.add_argument("--patients", type=whole(1, 20), default=3, metavar="N", help="for each student (default: 3)")
     parser.add_argument("--level", type=int, choices=(1, 2, 3), default=2, help="default: 2")
-    parser.add_argument("--answers", type=Path, metavar="DIR", help="for grade: the answered case files")
+    parser.add_argument("--host", default="127.0.0.1", metavar="ADDRESS",
+                        help="of this computer, as the students reach it (default: 127.0.0.1, this computer alone)")
+    parser.add_argument("--port", type=whole(0, 65535), default=8000, help="0: a free one (default: 8000)")
     parser.add_argument("--out", type=Path, default=Path(), metavar="DIR",
-                        help="where case files, or clinic.csv and clinic.json, are written (default: here)")
+                        help="where log.txt, links.csv, clinic.csv and clinic.json are (default: here)")
 
 
 def run(arguments) -> int:
-    """Hand out or grade; returns the exit status. Raises OptionError for what is missing or cannot be read."""
-    arguments.out.mkdir(parents=True, exist_ok=True)
-    if arguments.what == "hand-out":
-        return _hand_out(arguments)
-    return _grade(arguments)
+    """Serve or grade; returns the exit status. Raises OptionError for what is missing, or a changed log."""
+    with made_folder(arguments.out):
+        return _serve(arguments) if arguments.what == "serve" else _grade(arguments)
 
 
-def _hand_out(arguments) -> int:
-    from ..clinic import clinic
+def _serve(arguments) -> int:
+    from ..clinic import examination
+    from ..grading import points
 
-    if not arguments.students:
-        raise OptionError("clinic hand-out: name the students with --students")
-    unsafe = [name for name in arguments.students if not name.replace("-", "").replace("_", "").isalnum()]
-    if unsafe:
-        raise OptionError(f"clinic hand-out: a student's name is made of letters, digits, - and _; got {unsafe[0]!r}")
+    roster = points.roster(arguments.roster) if arguments.roster else []
+    students = [*arguments.students, *(person.full for person in roster)]
+    if not students:
+        raise OptionError("clinic serve: name the students with --students or --roster")
+    for name in students:
+        if students.count(name) > 1 or not name.strip() or not name.isprintable():
+            raise OptionError(f"clinic serve: a student's name is printable, and no other student's; got {name!r}")
     if not arguments.key.exists():
         with open(os.open(arguments.key, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w", encoding="utf-8") as file:
             file.write(secrets.token_hex(32) + "\n")
-        print(f"a new key was written to {arguments.key}: keep it from the students")
-    key = _key(arguments.key)
-    for student in arguments.students:
-        path = arguments.out / f"case_{student}.json"
-        if path.exists():
-            print(f"{path}: is there already and may hold answers, left as it is")
-            continue
-        cases = [clinic.case(student, number, arguments.level, key) for number in range(1, arguments.patients + 1)]
-        write_text(path, json.dumps({"student": student, "level": arguments.level, "cases": cases}, indent=1) + "\n")
-        print(f"{len(cases)} patients for {student}: {path}")
+        say(f"a new key was written to {arguments.key}: keep it from the students")
+    exam = examination.Examination(arguments.out / "log.txt", _key(arguments.key))
+    exam.start(students, arguments.level, arguments.patients)
+    with examination.server(exam, (arguments.host, arguments.port)) as server:
+        base = f"http://{arguments.host}:{server.server_address[1]}"
+        write_csv(arguments.out / "links.csv", ["student", "link"],
+                  ((name, f"{base}/{exam.token(name)}") for name in exam.students))
+        print(f"{len(exam.students)} students at {base}; their links: {arguments.out / 'links.csv'}. Ctrl-C ends it",
+              flush=True)
+        with contextlib.suppress(KeyboardInterrupt):
+            server.serve_forever()
     return 0
 
 
 def _grade(arguments) -> int:
-    from ..clinic import clinic
+    from ..clinic import examination
 
-    if arguments.answers is None or not (files := sorted(arguments.answers.glob("*.json"))):
-        raise OptionError("clinic grade: --answers names a directory with answered case files")
-    key, rows = _key(arguments.key), []
-    for file in files:
-        try:
-            content = json.loads(file.read_text(encoding="utf-8"))
-            rows += [{"file": file.name, "student": str(content["student"]), "patient": case["number"]}
-                     | clinic.grade(content["student"], case, content["level"], key) for case in content["cases"]]
-        except (ValueError, KeyError, TypeError, AttributeError, RecursionError, OSError) as error:
-            rows.append({"file": file.name, "problem": f"not a case file: {shown(error)}"})
-    columns = ["file", "student", "patient", "total", "piece", "kind", "evidence", "cure", "thrift", "problem"]
-    write_csv(arguments.out / "clinic.csv", columns, ([row.get(column, "") for column in columns] for row in rows))
-    write_text(arguments.out / "clinic.json", json.dumps(rows, indent=2) + "\n")
-    for row in rows:
-        print(f"{row['file']:24} {row.get('patient', ''):>3} {row.get('total', ''):>6}  {row.get('problem', '')}")
-    print(f"written to {arguments.out / 'clinic.csv'} and {arguments.out / 'clinic.json'}")
+    log = arguments.out / "log.txt"
+    if not log.exists():
+        raise OptionError(f"clinic grade: {log} is missing; --out names the folder that `clinic serve` wrote into")
+    exam = examination.Examination(log, _key(arguments.key))
+    numbers = range(1, exam.patients + 1)
+    graded = {student: [exam.grade(student, number) for number in numbers] for student in exam.students}
+    rows = [[student, round(sum(one["total"] for one in scores), 3), 10 * exam.patients,
+             *(one["total"] for one in scores),
+             " ".join(f"{one['patient']}: {remark}" for one in scores for remark in one["remarks"])]
+            for student, scores in graded.items()]
+    write_csv(arguments.out / "clinic.csv",
+              ["student", "total", "maximum", *(f"patient {number}" for number in numbers), "remarks"], rows)
+    write_text(arguments.out / "clinic.json", json.dumps(graded, indent=2, ensure_ascii=False) + "\n")
+    for student, total, most, *_ in rows:
+        say(f"{student:30} {total:>6} of {most}")
+    say(f"written to {arguments.out / 'clinic.csv'} and {arguments.out / 'clinic.json'}")
     return 0
 
 

@@ -6,7 +6,9 @@ import tempfile
 from datetime import datetime
 from pathlib import Path
 
+from ...cli import say
 from ...cli.arguments import OptionError, number, whole
+from ...recordings import files
 from ..checks import museum
 from ..grading import collecting, grading, points, report, sandbox
 
@@ -56,7 +58,7 @@ def _time(text: str) -> datetime:
 def run(arguments) -> int:
     """Do what the arguments ask for; returns the exit status. Raises OSError for paths that do not work."""
     if arguments.museum:
-        print(museum.table())
+        say(museum.table())
     else:
         _report(arguments)
     return 0
@@ -71,14 +73,18 @@ def _report(arguments) -> None:
     if arguments.system in ("canvas", "moodle") and not people:
         raise OptionError(f"exercises --for {arguments.system}: --roster names the file with the students' ids")
     chosen = _sandbox(arguments) if arguments.sandbox else None
-    arguments.out.mkdir(parents=True, exist_ok=True)
+    with files.made_folder(arguments.out):
+        _written(arguments, people, worth, chosen)
+
+
+def _written(arguments, people, worth, chosen) -> None:
     submissions = collecting.graded(arguments.report, arguments.out, arguments.limit, arguments.jobs, chosen)
     report.write(submissions, arguments.out)
     rows, worth = points.rows(submissions, people, worth, arguments.due, arguments.late, arguments.several == "best")
     written = points.write(rows, worth, arguments.out, arguments.system, arguments.assignment)
     (arguments.out / collecting.KEPT).unlink()
-    print(report.table(submissions) + "\n\n" + report.summary(submissions))
-    print(f"written to {arguments.out}: exercises.csv, exercises.json, matrix.csv, {', '.join(written)}, similar.csv, "
+    say(report.table(submissions) + "\n\n" + report.summary(submissions))
+    say(f"written to {arguments.out}: exercises.csv, exercises.json, matrix.csv, {', '.join(written)}, similar.csv, "
           "summary.txt, feedback")
 
 

@@ -3,6 +3,7 @@
 import warnings
 from pathlib import Path
 
+from ...cli import say
 from ...recordings import shipped
 from .start import COPIED, copy_notebooks
 
@@ -22,7 +23,7 @@ def run(arguments) -> int:
     if missing:
         raise FileNotFoundError(2, "there is no notebook of this chapter", missing[0])
     copied, kept = copy_notebooks(arguments.folder, patterns, lambda path: _cleared(path, arguments.keep_outputs))
-    print(f"{arguments.folder}: {copied} files copied" + (f", {kept} were there and stay as they are" if kept else ""))
+    say(f"{arguments.folder}: {copied} files copied" + (f", {kept} were there and stay as they are" if kept else ""))
     return 0
 
 

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterable
 from importlib.util import find_spec
 from pathlib import Path
 
+from ...cli import say
 from ...cli.arguments import OptionError
 from ...recordings import files, shipped
 from ..guesses import without_guessed_outputs
@@ -26,7 +27,7 @@ def run(arguments) -> int:
     if not arguments.no_open and find_spec("jupyterlab") is None:
         raise OptionError("JupyterLab is not installed: python -m pip install jupyterlab ipykernel (or --no-open)")
     copied, kept = copy_notebooks(arguments.folder)
-    print(f"{arguments.folder}: {copied} files copied" + (f", {kept} were there and stay as they are" if kept else ""))
+    say(f"{arguments.folder}: {copied} files copied" + (f", {kept} were there and stay as they are" if kept else ""))
     first = arguments.folder / "notebooks" / FIRST
     if arguments.no_open:
         return 0

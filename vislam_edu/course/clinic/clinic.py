@@ -7,7 +7,7 @@
 
 A patient is a filter or a recording with one fault, sometimes two, sometimes none (`patients`). The tests, and what
 healthy patients read in them, are in `clinic_tests`. Whoever reads the source can look the answer up: an examination
-takes a secret key, and hands out readings only.
+(`examination`) takes a secret key, and shows readings only.
 """
 
 import textwrap
@@ -20,7 +20,6 @@ from scipy import stats
 
 from ...belief import Step
 from ...plots.text import PAGE
-from ...recordings.files import shown
 from . import clinic_tests
 from .clinic_tests import CLEARED_TOGETHER, TESTS, Readings, bands, read
 from .patients import FAULTS, HEALTHY, KINDS, PIECES, Build, Drawn, draw, stream
@@ -189,39 +188,6 @@ def _suspects(drawn: Drawn, level: int, rng) -> list[str]:
     others = [piece for piece in PIECES if piece not in named]
     chosen = named | set(rng.choice(others, SUSPECTS[level] - len(named), replace=False).tolist())
     return [piece for piece in PIECES if piece in chosen]
-
-
-# --- examinations ---------------------------------------------------------------------------------------------
-
-def case(student: int | str, number: int, level: int, key: str) -> dict:
-    """A patient on paper: the readings of every test with the healthy bands, and blanks for the answer.
-
-    The student writes into "ordered" the tests that the answer rests on, within the budget.
-    """
-    patient = Patient(student, number, level, key)
-    patient.budget = sum(test.price for test in TESTS.values())
-    patient.order(*TESTS)
-    tests = {name: {"price": TESTS[name].price, "readings": {
-        key_: [float(f"{value:.6g}"), *(float(f"{limit:.6g}") for limit in bands()[name][key_].limits)]
-        for key_, value in readings.items()}} for name, readings in patient.readings.items()}
-    return {"number": number, "budget": BUDGETS[level], "suspects": patient.suspects, "kinds": list(KINDS),
-            "tests": tests, "ordered": [], "piece": [], "kind": [], "evidence": []}
-
-
-def grade(student: int | str, answered: Mapping[str, Any], level: int, key: str) -> dict:
-    """The score of an answered case, or the problem with it, as a dict. The cure is the package's own piece."""
-    try:
-        patient = Patient(student, answered["number"], level, key)
-        patient.order(*answered["ordered"])
-        if not answered["piece"]:
-            return {"total": 0.0, "problem": "not answered"}
-        score = patient.answer(tuple(answered["piece"]), tuple(answered["kind"]), tuple(answered["evidence"]))
-    except (ValueError, KeyError, TypeError) as error:
-        return {"total": 0.0, "problem": shown(error)}
-    parts = ("piece", "kind", "evidence", "cure", "thrift")
-    return {"total": round(score.total, 3)} | {part: round(getattr(score, part), 3) for part in parts} \
-        | {"truth": list(map(list, score.truth)), "diffs": list(score.diffs), "remarks": list(score.remarks),
-           "problem": ""}
 
 
 # --- scoring --------------------------------------------------------------------------------------------------

@@ -26,6 +26,8 @@ def notebooks(path: Path) -> list[Path]:
     if not path.is_dir():
         if not path.exists():
             raise FileNotFoundError(2, "there is no such notebook or folder", str(path))
+        if not path.is_file():
+            raise OSError(22, "is neither a file nor a folder", str(path))
         return [path]
     found = [file for file in sorted(path.rglob("*.ipynb")) if ".ipynb_checkpoints" not in file.parts]
     if not found:
