@@ -402,19 +402,19 @@ def _look(arguments, k, part, mine, right, before) -> str:
     drive, noise = arguments
     seen = drive.observed(k)[0]
     if part == "ids":
-        return "Which landmarks are in the state is the work of `filter_frame`."
+        return "Which landmarks stay and join is decided in filter_frame."
     if not len(seen):
-        return "This is the start, before any motion: look in `filter_run`." if k == 0 else (
-            "The frame sees nothing, so only the prediction was at work: look in `filter_predict`, or at what "
-            "`filter_run` gives it, the twist and tau of step k - 1.")
+        return "This is the start, before any motion: look in filter_run." if k == 0 else (
+            "The frame sees nothing, so only the prediction was at work: look in filter_predict, or at what "
+            "filter_run gives it, the twist and tau of step k - 1.")
     ids, P, landmarks, _ = right
     old = np.isin(ids, before[0])
     known = np.append(np.repeat(old, 3), np.ones(6, bool))
     if close(mine[1][known][:, known], P[known][:, known], 1e-6) and close(mine[2][old], landmarks[old], 1e-6) and (
             close(mine[3], right[3], 1e-6)):
-        return "Only what belongs to new landmarks is wrong: look in `filter_birth`."
+        return "Only what belongs to new landmarks is wrong: look in filter_birth."
     if not old.any():
-        return "No known landmark is in view, and births do not change the pose: look in `filter_frame`."
+        return "No known landmark is in view, and births do not change the pose: look in filter_frame."
     T, P = filter_predict(before[3], before[1], drive.step_twists[k - 1], drive.taus[k - 1], noise)
     stay = np.isin(before[0], seen)
     index = np.append(np.repeat(stay, 3), np.ones(6, bool))
@@ -425,8 +425,8 @@ def _look(arguments, k, part, mine, right, before) -> str:
         # What the update has started from, if it is right. A prediction leaves the block of the landmarks as it is.
         prior = np.linalg.inv(np.linalg.inv(mine[1][known][:, known]) - information)
         if part == "covariance" and close(prior[:-6, :-6], P[index][:, index][:-6, :-6], 1e-3):
-            return "The update has done its part, but what it was given was not right: look in `filter_predict`."
-    return "The births are not to blame, and the prediction leaves no such trace: look in `filter_update`."
+            return "The update has done its part, but what it was given was not right: look in filter_predict."
+    return "The births are not to blame, and the prediction leaves no such trace: look in filter_update."
 
 
 def where_apart(arguments, values, expected) -> tuple[str, str]:
