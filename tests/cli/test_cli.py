@@ -343,7 +343,7 @@ def test_a_closed_stderr_stops_nothing(words, tmp_path):
     recordings.save(recordings.load("first_steps").slice(0, 10), tmp_path / "a.npz")
     (tmp_path / "a.ipynb").write_text('{"cells": [], "metadata": {}, "nbformat": 4, "nbformat_minor": 5}')
     command = f"exec {sys.executable} -m vislam_edu {words} 2>&-"
-    ended = subprocess.run(["sh", "-c", command], cwd=tmp_path, stdout=subprocess.PIPE, text=True, check=False)
+    ended = subprocess.run(["/bin/sh", "-c", command], cwd=tmp_path, stdout=subprocess.PIPE, text=True, check=False)
     assert (ended.returncode, ended.stdout.count("unforeseen")) == (0, 0)
     assert list((tmp_path / "out").iterdir())
 
