@@ -342,7 +342,7 @@ def _check_truth(drive: Drive) -> None:
         if broken.size:
             raise DriveError(f"truth_world_T_cam: frame {broken[0]} is neither a pose nor all NaN")
         R = poses[known, :3, :3]
-        rigid = (np.abs(R @ R.mT - np.eye(3)).max(axis=(1, 2)) < 1e-6) & (np.linalg.det(R) > 0)
+        rigid = se3.is_rotation(R, 1e-6)
         rigid &= (np.abs(poses[known, 3] - [0, 0, 0, 1]) < 1e-9).all(axis=1)
         if not rigid.all():
             bad = np.flatnonzero(known)[~rigid][0]

@@ -93,6 +93,13 @@ def so3_exp(phi: ArrayLike) -> np.ndarray:
     return np.eye(3) + a * S + b * (S @ S)
 
 
+@np.errstate(all="ignore")  # of numbers that no rotation has
+def is_rotation(R: np.ndarray, tolerance: float) -> np.ndarray:
+    """(...,) bool: whether R R^T is the identity to within `tolerance` and det R positive. R (..., 3, 3)."""
+    handed = np.vecdot(R[..., 0], np.cross(R[..., 1], R[..., 2])) > 0
+    return handed & (np.abs(R @ R.mT - np.eye(3)).max(axis=(-2, -1)) < tolerance)
+
+
 def so3_log(R: ArrayLike) -> np.ndarray:
     """Rotation vector of a rotation matrix, angle in [0, pi]. R (..., 3, 3); returns (..., 3), rad.
 
@@ -104,8 +111,7 @@ def so3_log(R: ArrayLike) -> np.ndarray:
     """
     R = checked(R, (3, 3), "R")
     Rt = np.swapaxes(R, -1, -2)
-    wrong = (np.abs(Rt @ R - np.eye(3)).max(axis=(-2, -1)) > 1e-4) | (
-        np.vecdot(R[..., 0], np.cross(R[..., 1], R[..., 2])) < 0)
+    wrong = ~is_rotation(R, 1e-4) & np.isfinite(R).all(axis=(-2, -1))
     if wrong.any():
         where = f"R{[int(i) for i in np.argwhere(wrong)[0]]}" if R.ndim > 2 else "R"
         raise ValueError(f"{where} is not a rotation: R^T R must be the identity and det R = 1 (scaled? a reflection?)")

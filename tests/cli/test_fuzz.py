@@ -8,3 +8,8 @@ import pytest
 def test_what_is_damaged_ends_well_or_in_one_line(kind):
     found = [fuzz.problem_of(kind, seed) for seed in range(10_000, 10_005 if kind == "study" else 10_012)]
     assert [problem for problem in found if problem] == []
+
+
+@pytest.mark.parametrize(("kind", "seed"), [("numpy", 494), ("pickle", 953)])
+def test_cases_that_once_failed(kind, seed):
+    assert fuzz.problem_of(kind, seed) == ""

@@ -251,8 +251,7 @@ def _rigid(name, T):
         T = np.asarray(T, float)  # numpy inverts no half or long floats
     R = T[..., :3, :3]
     near = np.isfinite(T).all(axis=(-2, -1)) & (np.abs(T[..., 3, :] - [0, 0, 0, 1]).max(axis=-1) < 1e-6)
-    with np.errstate(invalid="ignore", over="ignore"):
-        near &= (np.abs(R @ R.mT - np.eye(3)).max(axis=(-2, -1)) < 1e-3) & (np.linalg.det(R) > 0)
+    near &= se3.is_rotation(R, 1e-3)
     if not near.all():
         where = f" row {np.flatnonzero(~near)[0]}" if T.ndim > 2 else ""
         raise DriveError(f"{name}{where}: not a rigid motion (rotation, translation, [0, 0, 0, 1] below)")

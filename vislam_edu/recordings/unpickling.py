@@ -139,6 +139,10 @@ class _Unpickler(pickle._Unpickler):
     def __init__(self, file: BinaryIO) -> None:
         super().__init__(file, encoding="latin1")
         self.file, self.end = file, os.fstat(file.fileno()).st_size
+        self._file_read = self._read_what_is_there  # `file.read(n)` takes n bytes of memory, however short the file is
+
+    def _read_what_is_there(self, size: int) -> bytes:
+        return self.file.read(min(size, self.end - self.file.tell()))
 
     def find_class(self, module: str, name: str) -> Any:
         try:
