@@ -42,16 +42,22 @@ def diagonal_blocks(P: np.ndarray, rows: np.ndarray, H_landmark: np.ndarray, H_p
     return H_landmark @ own @ H_landmark.mT + cross + cross.mT + H_pose @ pose @ H_pose.mT
 
 
-def correction(P: np.ndarray, rows: np.ndarray, H_landmark: np.ndarray, H_pose: np.ndarray, n: int,
-               residual: np.ndarray, variance: np.ndarray) -> np.ndarray:
-    """The delta of `absorb` alone, (d,), all measurements at once: P H^T S^-1 r."""
-    H = rows, H_landmark, H_pose, n
+def _factored(P: np.ndarray, H: tuple[np.ndarray, np.ndarray, np.ndarray, int],
+              variance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """H P and the lower factor L of S = H P H^T + V = L L^T. LAPACK counts by columns, in place: S^T is S."""
     HP = times_H(P, *H)
     S = times_H(HP.T, *H)
     S.reshape(-1)[::len(S) + 1] += variance.ravel()
     L, failed = dpotrf(S.T, lower=1, overwrite_a=1)
     if failed:
         raise np.linalg.LinAlgError("an innovation covariance is not positive definite")
+    return HP, L
+
+
+def correction(P: np.ndarray, rows: np.ndarray, H_landmark: np.ndarray, H_pose: np.ndarray, n: int,
+               residual: np.ndarray, variance: np.ndarray) -> np.ndarray:
+    """The delta of `absorb` alone, (d,), all measurements at once: P H^T S^-1 r."""
+    HP, L = _factored(P, (rows, H_landmark, H_pose, n), variance)
     return HP.T @ dtrsv(L, dtrsv(L, residual.ravel(), lower=1), lower=1, trans=1)
 
 
@@ -67,14 +73,9 @@ def absorb(P: np.ndarray, rows: np.ndarray, H_landmark: np.ndarray, H_pose: np.n
     for start in range(0, len(rows), CHUNK):
         part = slice(start, start + CHUNK)
         H = rows[part], H_landmark[part], H_pose[part], n
-        HP = times_H(P, *H)                                                         # H P
-        S = times_H(HP.T, *H)                                                       # H P H^T
-        S.reshape(-1)[::len(S) + 1] += variance[part].ravel()                       # + V
+        HP, L = _factored(P, H, variance[part])                                     # H P and S = L L^T
         r = residual[part].ravel() - times_H(delta[:, None], *H)[:, 0]              # r - H delta
-        # LAPACK and BLAS count by columns: S^T is S, and (HP)^T becomes Y^T = (HP)^T L^-T, both in place
-        L, failed = dpotrf(S.T, lower=1, overwrite_a=1)                             # S = L L^T
-        if failed:
-            raise np.linalg.LinAlgError("an innovation covariance is not positive definite")
+        # BLAS counts by columns: (HP)^T becomes Y^T = (HP)^T L^-T in place
         Y = dtrsm(1.0, L, HP.T, side=1, lower=1, trans_a=1, overwrite_b=1).T        # Y = L^-1 H P
         delta += Y.T @ dtrsv(L, r, lower=1)                                         # delta + K r
         P -= Y.T @ Y                                                                # P - K S K^T

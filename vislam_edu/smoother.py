@@ -55,11 +55,8 @@ def _undo_update(lam: np.ndarray, Lam: np.ndarray, step: Step,
     prior, accepted = step.prior, step.innovation.accepted
     if not accepted.any():
         return lam, Lam
-    linearised, residual = window_slam.linearise(prior, step.innovation.ids, settings)[0], step.innovation.residual
-    if settings.predict_again:
-        prior, _, linearised, residual, _ = window_slam.relinearise(prior, linearised, step.innovation, settings)
-    else:
-        linearised, residual = linearised.only(accepted), residual[accepted]
+    linearised, _ = window_slam.linearise(prior, step.innovation.ids, settings)
+    prior, _, linearised, residual, _ = window_slam.relinearise(prior, linearised, step.innovation, settings)
     H, residual = linearised.blocks(len(prior.ids)), stereo.reduce_rows(residual)
     HP = blockwise.times_H(prior.covariance, *H)
     S = blockwise.times_H(HP.T, *H)

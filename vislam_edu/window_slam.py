@@ -120,17 +120,18 @@ def _variance(residual: np.ndarray, settings: UpdateSettings) -> np.ndarray:
 
 
 def relinearise(prior: Belief, H: Linearised, innovation: Innovation,
-                settings: UpdateSettings) -> tuple[Belief, np.ndarray, Linearised, np.ndarray, np.ndarray]:
+                settings: UpdateSettings) -> tuple[Belief, np.ndarray | float, Linearised, np.ndarray, np.ndarray]:
     """A step of Gauss and Newton over prediction and update: both linearised where the first update leads.
 
     H : of all measurements of the innovation. Returns the belief at that point, the error (d,) of the prior's mean
     there, H and the residual (m, 4), px, of the accepted measurements there, less H times that error, and which of all
-    they are: a landmark behind the camera there is left out.
+    they are: a landmark behind the camera there is left out. Where a frame is linearised once, that point is the prior.
     Source: Bell, Cathey, The iterated Kalman filter update as a Gauss-Newton method, 1993.
     """
-    assert settings.predict_again is not None
     good, n = innovation.accepted, len(prior.ids)
     residual = innovation.residual[good]
+    if settings.predict_again is None or not good.any():
+        return prior, 0.0, H.only(good), residual, good
     first = blockwise.correction(prior.covariance, *H.only(good).blocks(n), stereo.reduce_rows(residual),
                                  _variance(residual, settings))
     there, error = settings.predict_again(first)
@@ -147,9 +148,6 @@ def update(prior: Belief, ids: np.ndarray, pixels: np.ndarray, settings: UpdateS
     if len(ids) == 0:
         return prior, NO_INNOVATION
     innovation, H = compute_innovation(prior, ids, pixels, settings)
-    good = innovation.accepted
-    if settings.predict_again is None or not good.any():
-        return apply_update(prior, H.only(good), innovation.residual[good], settings), innovation
     there, error, H, residual, good = relinearise(prior, H, innovation, settings)
     return apply_update(there, H, residual, settings, error), replace(innovation, accepted=good)
 

@@ -353,12 +353,12 @@ def test_students_are_handed_stubs_and_nothing_of_the_teachers(tmp_path, capsys)
     assert not (tmp_path / "other").exists()
 
 
-@pytest.mark.parametrize(("words", "told"), [
+@pytest.mark.parametrize(("words", "message"), [
     (["--for", "canvas"], "exercises --for canvas: --roster names the file with the students' ids"),
     (["--due", "tomorrow"], "'tomorrow' is no time; write it as 2026-05-01T23:59")])
-def test_options_that_cannot_be_are_refused_before_anything_runs(tmp_path, capsys, words, told):
+def test_options_that_cannot_be_are_refused_before_anything_runs(tmp_path, capsys, words, message):
     write(tmp_path / "class", ["pass"])
     with contextlib.suppress(SystemExit):
         cli.main(["exercises", "--report", str(tmp_path / "class"), "--out", str(tmp_path / "out"), *words])
-    assert told in capsys.readouterr().err
+    assert message in capsys.readouterr().err
     assert not (tmp_path / "out").exists()

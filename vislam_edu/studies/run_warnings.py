@@ -99,7 +99,7 @@ def of_filter(drive, slam, dead_reckoning, gate, true=None, calibration=None) ->
     """What speaks against a joint filter's result.
 
     drive, gate : of the filter. slam : `pipeline.Slam`. dead_reckoning : Trajectory. true : (T, 4, 4) in the
-    filter's world, NaN where there is none, or None. calibration : (T, 6, 6), what it adds to the covariance, or None.
+    filter's world, NaN in frames without truth; None: no truth. calibration : (T, 6, 6), what it adds, or None.
     """
     considered = calibration is not None or LENS_CORRECTED in drive.history
     found, path = list(of_innovations(slam.run, gate, considered)), slam.trajectory
@@ -140,7 +140,7 @@ def of_filter(drive, slam, dead_reckoning, gate, true=None, calibration=None) ->
 
 
 def of_batch(smoothed, true=None) -> list[str]:
-    """What speaks against a `pipeline.Smoothed`. true : (T, 4, 4) in its world, NaN where there is none, or None."""
+    """What speaks against a `pipeline.Smoothed`. true : (T, 4, 4) in its world, NaN in frames without it, or None."""
     solution, dof, found = smoothed.solution, max(smoothed.solution.problem.dof, 1), []
     if not solution.converged:
         found.append(f"the batch estimate had not come to rest after {solution.iterations} iterations: its path is "

@@ -164,7 +164,7 @@ def ground_pose(world_T_imu: np.ndarray | None) -> list[float]:
 def inset(snapshots: tuple[Snapshot, ...], i: int) -> list[float]:
     """The pose of snapshot i magnified, along the body axes of the snapshot that it came from (see `LAYOUT`).
 
-    "Before" is the snapshot that it came from, at the origin; all in m and rad, NaN where there is none.
+    "Before" is the snapshot that it came from, at the origin; all in m and rad, NaN for what is not known.
     """
     now = snapshots[i]
     came_from = now if i == 0 else snapshots[i - 1]
