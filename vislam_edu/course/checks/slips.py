@@ -67,10 +67,14 @@ def unlike(outcome: Outcome, again: Outcome) -> str:
             "from one call to the next, such as a list that is defined outside it.")
 
 
+def _results(exercise) -> list[str]:
+    return [f"The result {name}" for name in exercise.outputs] or ["Your result"]
+
+
 def unmoved(exercise, outcomes, expected, sames) -> str:
     """The wrong results that are zero, or the same, on every input."""
     said = []
-    for k, name in enumerate([f"The result {name}" for name in exercise.outputs] or ["Your result"]):
+    for k, name in enumerate(_results(exercise)):
         pairs = [(outcome.values[k], should[k]) for outcome, should in zip(outcomes, expected)
                  if outcome.values is not None]
         if all(row[k] for row in sames) or len(pairs) < len(outcomes):
@@ -88,7 +92,7 @@ def unmoved(exercise, outcomes, expected, sames) -> str:
 
 def cut(exercise, outcomes, expected, sames) -> str:
     """Results that are the right ones without what stands behind the decimal point."""
-    for k, name in enumerate([f"The result {name}" for name in exercise.outputs] or ["Your result"]):
+    for k, name in enumerate(_results(exercise)):
         pairs = [(outcome.values[k], should[k]) for outcome, should, row in zip(outcomes, expected, sames)
                  if outcome.values is not None and not row[k]]
         if pairs and any(came.any() for came, _ in pairs) and all(

@@ -23,6 +23,7 @@ from typing import Any
 import numpy as np
 
 from ..checks.exercise import Exercise
+from ..checks.running import tree_of
 from ..exercises import EXERCISES
 
 TOOLS = ("se3.", "noise.", "drive.", "belief.", "stereo.StereoCamera.imu_T_cam", "stereo.StereoCamera.cam_T_imu",
@@ -168,7 +169,7 @@ def forms(sources: Iterable[str]) -> dict[str, str]:
 
 @functools.cache
 def _plain_forms(name: str) -> list[str]:
-    trees = [ast.parse(inspect.cleandoc("\n" + inspect.getsource(answer))) for answer in EXERCISES[name].answers]
+    trees = list(filter(None, map(tree_of, EXERCISES[name].answers)))
     return [_form(node) for tree in trees for node in ast.walk(tree) if isinstance(node, ast.FunctionDef)][:len(trees)]
 
 
