@@ -266,7 +266,7 @@ def coverage_of_maps(seed, initialise):
     return [metrics.coverage(error[group], P[group]) for group in (depth > 0, depth > 60)]
 
 
-@claim("03", "With the report's start four times as many ellipsoids miss as should")
+@claim("03", "With $2I$ four times as many ellipsoids miss as should")
 def report_start_misses(seed):
     every, far = coverage_of_maps(seed, mapping.report_prior)
     return 1 - every > 3 * 0.05 and far < 0.5
