@@ -88,7 +88,7 @@ def test_the_guesses_of_a_chapter_stand_together_at_its_end(somebody, capsys):
         asked.compare(value)
     capsys.readouterr()
     guesses.your_guesses()
-    assert capsys.readouterr().out == ("How far?\n    Your guess: 10 m. Here: 4.0 m.\n"
+    assert capsys.readouterr().out == ("How far?\n    Your guess: 10 m. Here: 4 m.\n"
                                        "How near?\n    Your guess: 1 m. Here: 0.5 m.\n")
 
 
