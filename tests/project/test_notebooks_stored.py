@@ -109,7 +109,7 @@ def test_the_first_note_on_the_report_of_a_chapter_says_what_that_is(path):
     assert ["[" in note for note in notes] == [True] * bool(notes) + [False] * (len(notes) - 1)
 
 
-QUOTE = re.compile(r"\[\d\d\]\(\.\./notebooks/(\w+\.ipynb)\): `([^`]+)`")
+QUOTE = re.compile(r"\[\d\db?\]\(\.\./notebooks/(\w+\.ipynb)\): `([^`]+)`")
 QUOTES = QUOTE.findall((ROOT / "docs/instructor.md").read_text(encoding="utf-8"))
 
 
