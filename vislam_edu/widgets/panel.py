@@ -73,7 +73,7 @@ class Panel(ipywidgets.VBox):
         width = f"{int(DPI * picture.size[0])}px"
         self.image = ipywidgets.Image(format="png", layout=ipywidgets.Layout(width=width, max_width="100%"))
         self.text = ipywidgets.HTML(layout=ipywidgets.Layout(width=width, max_width="100%"))
-        row = ipywidgets.Layout(flex_flow="row wrap", width=width, max_width="100%")  # in as many lines as it needs
+        row = ipywidgets.Layout(flex_flow="row wrap", align_items="center", width=width, max_width="100%")
         for control in self.controls.values():
             control.observe(self._show, names="value")
         super().__init__([ipywidgets.Box(list(self.controls.values()), layout=row), self.image, self.text],
