@@ -87,12 +87,6 @@ class WhatIf(ipywidgets.VBox):
         super().__init__([controls, self.text, self.explorer])
         self._say()
 
-    def steps(self) -> list[Step]:
-        """The filter run as the controls say."""
-        V_times_k = replace(self.noise, sigma_px=self.noise.sigma_px * self.factor.value**0.5)
-        process = leaving_out(*self.left_out) if self.left_out else window_slam.correlated
-        return list(window_slam.run(self.drive, V_times_k, process_frame=process))
-
     def _leave_out(self, change):
         shown = self.explorer.histories[0].snapshots[self.explorer.half_step]
         number = {LANDMARK: self.explorer.landmark, FRAME: shown.frame}.get(change.new, -1)
@@ -100,7 +94,9 @@ class WhatIf(ipywidgets.VBox):
         self._run()
 
     def _run(self):
-        self.after = self.steps()
+        V_times_k = replace(self.noise, sigma_px=self.noise.sigma_px * self.factor.value**0.5)
+        process = leaving_out(*self.left_out) if self.left_out else window_slam.correlated
+        self.after = list(window_slam.run(self.drive, V_times_k, process_frame=process))
         self.explorer.update({AS_IT_WAS: self.before, WHAT_IF: self.after})
         self._say()
 
