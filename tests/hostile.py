@@ -193,6 +193,7 @@ for record in [one for one in gc.get_objects() if type(one).__name__ == "_Record
     "shadows with a folder": before(SHADOWS),
     "shadows with a module": before(SHADOWS),
     # --- names ---
+    "a good one": before("1 + 1"),
     "=HYPERLINK(\"x\")": before("1"),
     "\x1b[31mred": before("1"),
     "two\nlines": before("1"),
@@ -228,7 +229,7 @@ def notebook(folder, sources, name="a.ipynb"):
 
 def handed_in(folder: Path, names: Iterable[str]) -> None:
     """Write the submissions, and two good ones beside them."""
-    for name in names:
+    for name in {*names, "a good one"}:
         own = folder / name
         own.mkdir()
         if (cells := CASES[name].cells) is not None:
@@ -247,7 +248,6 @@ def handed_in(folder: Path, names: Iterable[str]) -> None:
             theirs = own / ("vislam_edu.py" if "module" in name else "vislam_edu/__init__.py")
             theirs.parent.mkdir(exist_ok=True)
             theirs.write_text("shadow = True\nraise SystemExit('the wrong package')\n")
-    notebook(folder / "a good one", ["1 + 1", RIGHT_HAT])
     notebook(Path(os.fsdecode(os.fsencode(folder) + b"/" + NOT_UTF8)), [RIGHT_HAT])
 
 
@@ -270,21 +270,23 @@ def report(folder: Path, out: Path, limit: float) -> tuple[dict[str, dict], str]
     return {entry["notebook"].split("/")[0]: entry for entry in entries}, done.stdout
 
 
-def problems(names: Iterable[str], folder: Path, out: Path, entries: dict[str, dict], printed: str) -> list[str]:
-    """What did not end as it should, one line each."""
-    found = []
-    wanted = {name: case.wanted for name, case in CASES.items() if name in names}
-    for name, words in (wanted | {"a good one": "right complete"}).items():
-        entry = entries.get("".join(c if c.isprintable() else "?" for c in " ".join(name.split())))
-        came = outcome(entry) if entry else {"no row"}
-        if not any(set(choice.split()) <= came for choice in words.split("|")):
-            found.append(f"{name!r}: wanted {words!r}, came {sorted(came)}, {entry and entry['problem']!r}")
-    left = sorted({path.name for path in out.iterdir()} ^ REPORT)
-    large = [path for path in folder.rglob("*") if path.is_file() and path.stat().st_size > submission.FILE_SIZE]
-    here = [link for link in Path("/proc").glob("[0-9]*/cwd") if _points_into(link, folder)]
-    return found + [f"{what}: {which}" for what, which in [("the folder of results", left), ("too large", large),
-                                                           ("left running", here)] if which] + (
-        ["a control character was printed"] if any(not (c.isprintable() or c == "\n") for c in printed) else [])
+def problem_of(name: str, entries: dict[str, dict]) -> str:
+    """What is wrong with the row of one submission; "" where it has the words that are wanted."""
+    entry = entries.get("".join(c if c.isprintable() else "?" for c in " ".join(name.split())))
+    came = outcome(entry) if entry else {"no row"}
+    if any(set(choice.split()) <= came for choice in CASES[name].wanted.split("|")):
+        return ""
+    return f"{name!r}: wanted {CASES[name].wanted!r}, came {sorted(came)}, {entry and entry['problem']!r}"
+
+
+def left_behind(folder: Path, out: Path, printed: str) -> list[str]:
+    """Files too large or unasked for, processes that still run, and control characters, one line each."""
+    found = {"results": sorted({path.name for path in out.iterdir()} ^ REPORT),
+             "too large": [path for path in folder.rglob("*")
+                           if path.is_file() and path.stat().st_size > submission.FILE_SIZE],
+             "still runs": [link for link in Path("/proc").glob("[0-9]*/cwd") if _points_into(link, folder)],
+             "printed": [c for c in printed if not (c.isprintable() or c == "\n")]}
+    return [f"{what}: {which}" for what, which in found.items() if which]
 
 
 def _points_into(link, folder) -> bool:
@@ -300,7 +302,9 @@ def put(names: Iterable[str], limit: float) -> list[str]:
         folder, out = Path(scratch) / "class", Path(scratch) / "grades"
         folder.mkdir()
         handed_in(folder, names)
-        return problems(names, folder, out, *report(folder, out, limit))
+        entries, printed = report(folder, out, limit)
+        found = [problem_of(name, entries) for name in {*names, "a good one"}]
+        return [*filter(None, found), *left_behind(folder, out, printed)]
 
 
 def main() -> int:
