@@ -19,7 +19,7 @@ from vislam_edu.noise import Noise
 from vislam_edu.widgets import Panel, WhatIf
 from vislam_edu.course.ch02.panel import StereoDepthPicture
 """
-CELLS = [IMPORTS, "WhatIf(simulate.first_steps().slice(0, 12), Noise(), start=10)", "Panel(StereoDepthPicture())"]
+CELLS = [IMPORTS, "WhatIf(simulate.first_steps().slice(0, 12), Noise(), start=5)", "Panel(StereoDepthPicture())"]
 
 
 def run_notebook_7(page):
@@ -90,11 +90,11 @@ def keys_step_the_explorer(page):
     explorer.locator("input[type=range]").focus()
     for _ in range(3):
         page.keyboard.press("ArrowRight")
-    assert explorer.evaluate(STATE)["i"] == 13
+    assert explorer.evaluate(STATE)["i"] == 16
     explorer.get_by_role("img", name="map").first.focus()
     for _ in range(2):
         page.keyboard.press("ArrowUp")
-    assert explorer.evaluate(STATE)["i"] == 15
+    assert explorer.evaluate(STATE)["i"] == 18
 
 
 def the_kernel_sends_it_another_run(page):
@@ -105,7 +105,7 @@ def the_kernel_sends_it_another_run(page):
     page.keyboard.press("End")
     wait_until(page, lambda: explorer.evaluate(STATE)["time"]["high"][1] > 1.5 * before[1], "no other run came")
     after = explorer.evaluate(STATE)
-    assert (after["i"], after["time"]["high"][0]) == (15, before[0])
+    assert (after["i"], after["time"]["high"][0]) == (18, before[0])
 
 
 def a_panel_draws_again(page):

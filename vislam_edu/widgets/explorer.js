@@ -270,7 +270,7 @@ function theme(el) {
 function drawMap(canvas, look, history, run) {
   const { ctx, w, h } = prepare(canvas), c = look.colours;
   const shot = snapshot(run, look.i), before = look.i > 0 ? snapshot(run, look.i - 1) : null;
-  const seen = sights(run, look.i), updated = history.updated[look.i];
+  const seen = sights(run, look.i), updated = history.stage[look.i];
   const side = look.inset ? insetSide(w) : 0, place = mapPlace(look, history.bounds, w, h, shot.pose, side);
   const X = (x) => w / 2 + place.k * (x - place.x), Y = (y) => h / 2 - place.k * (y - place.y);
   const shown = { k: place.k, magnify: look.magnify, landmarks: [], triangulated: {}, before: 0, lines: 0 };
@@ -352,7 +352,7 @@ function drawMap(canvas, look, history, run) {
   const [forward, left, heading] = shown.inset ? shown.inset.sigmas : [];
   shown.words = `car at ${short(shot.pose[0])}, ${short(shot.pose[1])} m${shown.inset
     ? `, σ ${metres(forward)} forward, ${metres(left)} left, heading ${short(heading * 180 / Math.PI)}°` : ""}; `
-    + `${shown.landmarks.length} landmarks`;
+    + `${shown.landmarks.length} landmarks${shot.born.length ? `, new: ${shot.born.join(", ")}` : ""}`;
   return shown;
 }
 
@@ -390,7 +390,7 @@ function pathUpTo(run, history, i) {
   if (run.path) return { points: rows(run, "path", run.path_first[i], run.path_first[i + 1]) };
   const points = [];
   for (let j = 0; j <= i; j++) {
-    if (history.updated[j] || j === i) points.push(run.pose[4 * j], run.pose[4 * j + 1]);
+    if (history.stage[j] || j === i) points.push(run.pose[4 * j], run.pose[4 * j + 1]);
   }
   return { points };
 }
@@ -513,17 +513,18 @@ function mapLegend(ctx, look, history, k, w, h) {
  * Scales of the magnified pose in every snapshot, the same for all runs that are shown: half of its side, m, and the
  * half angle, rad, that is drawn as 1 rad. They stay over the run, or step by a factor of ten where nothing could be seen.
  */
-function poseScales(runs, n) {
-  const reach = Array(n).fill(0), turn = Array(n).fill(0);
+function poseScales(runs, stage) {
+  const reach = stage.map(() => 0), turn = stage.map(() => 0);
   for (const run of runs) {
-    for (let i = 0; i < n; i++) {
+    for (let i = 0; i < stage.length; i++) {
       const p = rows(run, "inset", i), away = Math.hypot(p[8], p[9]);
       const largest = RADIUS * Math.max(...[0, 4].map((at) => ellipseOf(p[at], p[at + 1], p[at + 2]).a || 0));
       reach[i] = Math.max(reach[i], 1.1 * largest, away < 8 * largest ? 1.1 * away : 0); // farther: it jumped
       turn[i] = Math.max(turn[i], 1.96 * Math.max(p[3] || 0, p[7] || 0));
     }
   }
-  return { half: ladder(reach), turn: ladder(turn) };
+  const [half, angle] = [reach, turn].map((all) => ladder(all.map((v, i) => all[stage[i] === 2 ? i - 1 : i]))); // a birth leaves the pose
+  return { half, turn: angle };
 }
 
 /** A scale for each of the values, none above its scale: that of the largest, or smaller by powers of ten. */
@@ -558,14 +559,14 @@ function drawPoseInset(ctx, look, history, run, { x: x0, y: y0, side }) {
   ctx.clip();
   // Ellipses are given with x forward, y left; on the screen forward is up: a quarter turn.
   const turned = (e) => ({ ...e, angle: e.angle + Math.PI / 2 });
-  wedge(ctx, X(p[9]), Y(p[8]), p[10], Math.min(1.96 * p[3] * widen, 1.5), 0.42 * side, history.updated[look.i] ? run.ellipse : c.prior);
+  wedge(ctx, X(p[9]), Y(p[8]), p[10], Math.min(1.96 * p[3] * widen, 1.5), 0.42 * side, history.stage[look.i] ? run.ellipse : c.prior);
   tracePath(ctx, X(0), Y(0), turned(was), k);
   ctx.strokeStyle = c.prior;
   ctx.lineWidth = 1.2;
   ctx.setLineDash([3, 2]);
   ctx.stroke();
   ctx.setLineDash([]);
-  if (history.updated[look.i]) {
+  if (history.stage[look.i] === 1) {
     ctx.strokeStyle = c.measured;
     ctx.lineWidth = 1;
     for (const s of seen) {
@@ -576,7 +577,7 @@ function drawPoseInset(ctx, look, history, run, { x: x0, y: y0, side }) {
     }
   }
   tracePath(ctx, X(p[9]), Y(p[8]), turned(now), k);
-  ctx.strokeStyle = history.updated[look.i] ? run.ellipse : c.prior;
+  ctx.strokeStyle = history.stage[look.i] ? run.ellipse : c.prior;
   ctx.lineWidth = 2;
   ctx.stroke();
   ctx.fillStyle = look.ink;
@@ -613,7 +614,7 @@ function drawPoseInset(ctx, look, history, run, { x: x0, y: y0, side }) {
 function drawPose(canvas, look, history, run) {
   const { ctx, w, h } = prepare(canvas), side = Math.min(w - 150, h) - 4, c = look.colours;
   const shown = drawPoseInset(ctx, look, history, run, { x: 2, y: 2, side });
-  const words = [[history.updated[look.i] ? "pose, updated" : "pose, predicted", history.updated[look.i] ? run.ellipse : c.prior],
+  const words = [[history.stage[look.i] ? "pose, updated" : "pose, predicted", history.stage[look.i] ? run.ellipse : c.prior],
     ["dashed: before this", c.prior], [history.unit, c.prior], ["lines: what each", c.measured], ["landmark pulls", c.measured],
     ["+ truth", c.truth], ["forward is up", look.ink], ["ellipse: 95 %", look.ink], ["sector: heading", look.ink]];
   words.forEach(([text, colour], line) => label(ctx, text, side + 12, 16 + 15 * line, colour, look.paper));
@@ -714,20 +715,17 @@ function drawBlocks(canvas, look, history, run) {
 
 /** The numbers that the matrix shows, (d, d) row by row; NaN for a change of rows that are new. */
 function readMatrix(run, look) {
-  const shot = snapshot(run, look.i), d = shot.sigma.length, values = new Float32Array(d * d);
-  const read = look.reading === "correlation" ? correlation : covariance;
-  for (let r = 0; r < d; r++) {
-    for (let q = r; q < d; q++) values[r * d + q] = values[q * d + r] = read(shot, r, q);
-  }
-  if (look.reading !== "change") return values;
-  const before = look.i > 0 ? snapshot(run, look.i - 1) : null, from = new Int32Array(d).fill(-1);
+  const shot = snapshot(run, look.i), d = shot.sigma.length, values = new Float64Array(d * d);
+  const change = look.reading === "change", read = look.reading === "correlation" ? correlation : covariance;
+  const before = change && look.i > 0 ? snapshot(run, look.i - 1) : null, from = new Int32Array(d).fill(-1);
   for (let r = 0; before && r < d; r++) {
     const j = r < 3 * shot.n ? before.ids.indexOf(shot.ids[Math.floor(r / 3)]) : before.n;
     from[r] = j < 0 ? -1 : r < 3 * shot.n ? 3 * j + (r % 3) : 3 * before.n + r - 3 * shot.n;
   }
   for (let r = 0; r < d; r++) {
-    for (let q = 0; q < d; q++) {
-      values[r * d + q] = from[r] < 0 || from[q] < 0 ? NaN : values[r * d + q] - covariance(before, from[r], from[q]);
+    for (let q = r; q < d; q++) {
+      const was = !change ? 0 : from[r] < 0 || from[q] < 0 ? NaN : covariance(before, from[r], from[q]);
+      values[r * d + q] = values[q * d + r] = read(shot, r, q) - was;
     }
   }
   return values;
@@ -845,7 +843,7 @@ function drawLandmark(canvas, look, history, runs) {
   const now = runs.map((run) => snapshot(run, look.i)), at = now.map((s) => s.ids.indexOf(look.chosen));
   shown.axes = now.map((s, r) => (at[r] < 0 ? null : [...s.axes.subarray(3 * at[r], 3 * at[r] + 3)]));
   const words = [[`landmark ${look.chosen}: `, c.measured], ...(shown.axes[0]
-    ? shown.axes[0].map((v, axis) => [`${["σ longest", "middle", "shortest"][axis]} ${metres(v)}${axis < 2 ? ", " : " "}`, hues[axis]])
+    ? shown.axes[0].map((v, axis) => [`${axis ? "" : "σ longest "}${metres(v)}${axis < 2 ? ", " : " "}`, hues[axis]])
     : [["not in the state now", look.ink]])];
   labels(ctx, 4, 11, look, words);
   shown.words = words.map(([text]) => text).join("");
@@ -901,7 +899,7 @@ function landmarkEvents(ctx, plot, history, run, look, { sigmas }, events) {
       events.push([i, "retired"]);
       label(ctx, "×", x - 4, y + 4, c.rejected, look.paper);
     }
-    if (!history.updated[i] || !sigmas[i]) continue;
+    if (history.stage[i] !== 1 || !sigmas[i]) continue;
     const s = sights(run, i).find((one) => one.id === look.chosen);
     if (!s) continue;
     events.push([i, s.accepted ? "update" : "kept out"]);
@@ -942,10 +940,10 @@ function drawSeries(ctx, look, history, runs, at, area, axis) {
     const { values, low, high, stair } = run.series[at], hue = runs.length > 1 ? run.colour : c.predicted;
     plot.ticks(history, run, low, high, runs.length > 1 ? run.colour : c.prior);
     ctx.setLineDash([4, 3]);
-    plot.line(history.updated.map((u, i) => (u ? low[i] : null)), run, runs.length > 1 ? run.colour : c.expected, 1);
-    plot.line(history.updated.map((u, i) => (u ? high[i] : null)), run, runs.length > 1 ? run.colour : c.expected, 1);
+    plot.line(history.stage.map((stage, i) => (stage ? low[i] : null)), run, runs.length > 1 ? run.colour : c.expected, 1);
+    plot.line(history.stage.map((stage, i) => (stage ? high[i] : null)), run, runs.length > 1 ? run.colour : c.expected, 1);
     ctx.setLineDash([]);
-    plot.line(history.updated.map((u, i) => (u || stair ? values[i] : null)), run, hue, 1.6);
+    plot.line(history.stage.map((stage, i) => (stage || stair ? values[i] : null)), run, hue, 1.6);
     plot.dot(run.time[look.i], values[look.i], hue);
   }
   plot.cursor(runs[0], look.i);
@@ -960,7 +958,7 @@ function seriesRange(history, series) {
   const all = [], bands = [];
   for (const s of series) {
     for (let i = 0; i < history.n; i++) {
-      if (!history.updated[i] && !s.stair) continue;
+      if (!history.stage[i] && !s.stair) continue;
       if (Number.isFinite(s.values[i])) all.push(s.values[i]);
       for (const edge of [s.low[i], s.high[i]]) if (Number.isFinite(edge)) bands.push(edge);
     }
@@ -1029,7 +1027,7 @@ function plotArea(ctx, look, history, area, range, unit, axis = true) {
       ctx.lineWidth = 1;
       ctx.beginPath();
       for (let i = 0; i < h.n; i++) {
-        if (h.updated[i] || !h.updated[i + 1] || low[i] === low[i + 1]) continue;
+        if (h.stage[i] || !h.stage[i + 1] || low[i] === low[i + 1]) continue;
         for (const v of [low[i], high[i]]) { ctx.moveTo(X(run.time[i]) - 2, Y(v)); ctx.lineTo(X(run.time[i]) + 2, Y(v)); }
       }
       ctx.stroke();
@@ -1076,7 +1074,7 @@ function decades({ y0, y1 }, n) {
 function drawImage(canvas, look, history, run) {
   const { ctx, w, h } = prepare(canvas), c = look.colours, seen = sights(run, look.i);
   const [width, height] = history.image, k = Math.min((w - 12) / width, (h * 0.52 - 16) / height), x0 = 6, y0 = 16;
-  const updated = history.updated[look.i], X = (u) => x0 + k * u, Y = (v) => y0 + k * v;
+  const updated = history.stage[look.i], X = (u) => x0 + k * u, Y = (v) => y0 + k * v;
   const shown = { measured: [], enlarged: 0, chosen: null };
   ctx.strokeStyle = c.faded;
   ctx.lineWidth = 1;
@@ -1279,7 +1277,7 @@ function render({ model, el }) {
     const all = history.runs, drawn = two ? all : [all[Math.min(look.show, all.length - 1)]], some = drawn[0];
     const top = wide ? 286 : 250, low = wide ? 166 : 170;
     const list = [];
-    look.scales = poseScales(drawn, history.n);
+    look.scales = poseScales(drawn, history.stage);
     const known = Number.isFinite(rows(some, "inset", history.n - 1)[0]); // the pose's covariance
     look.apart = known && !two && !some.first[some.first.length - 1];
     look.inset = known && !look.apart;
@@ -1474,7 +1472,7 @@ function render({ model, el }) {
     const t = time[0] + share * (time[history.n - 1] - time[0]);
     let best = look.i, reach = Infinity;
     for (let i = 0; i < history.n; i++) {
-      if (history.updated[i] && Math.abs(time[i] - t) < reach) [best, reach] = [i, Math.abs(time[i] - t)];
+      if (history.stage[i] && Math.abs(time[i] - t) < reach) [best, reach] = [i, Math.abs(time[i] - t)];
     }
     return best;
   }
@@ -1500,6 +1498,7 @@ function render({ model, el }) {
   const onData = () => {
     onData.last = model.get("data");
     history = unpack(model.get("header"), model.get("data"));
+    look.i = model.get("half_step"); // the same frame; another run may have more half-steps
     recolour();
     build();
   };

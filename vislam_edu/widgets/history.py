@@ -1,10 +1,10 @@
 """The history of a filter as a list of snapshots: what the explorer shows, before it is packed for the browser.
 
-A frame of a filter gives two snapshots, its belief before and after the update. A batch estimate gives one per
-iteration, a loop closure one per pair that is fused.
+A frame of a filter gives two snapshots, its belief before and after the update, and a third where landmarks are born.
+A batch estimate gives one per iteration, a loop closure one per pair that is fused.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -17,7 +17,9 @@ from ..error_state import ErrorState, fitting, right_pose_covariance, to_right, 
 from ..stereo import FOUR_FROM_THREE
 
 NOBODY = np.empty(0, int)
+STAGES = ("predicted", "updated", "born")
 MOTION_ROWS = ["v x", "v y", "v z", "ω x", "ω y", "ω z", "bias x", "bias y", "bias z"]
+POSE_STAYS, MAP_STAYS = "the pose stays as it was", "no landmark ellipse changes"
 POSE_ERRORS = [("forward", 0, 1.0, "m"), ("left", 1, 1.0, "m"), ("heading", 5, 180 / np.pi, "°")]
 
 
@@ -63,7 +65,7 @@ class Snapshot:
     """One state of an estimate, everything in world coordinates.
 
     label : where it stands in the history. caption : what led to it, in words, without the label.
-    time : s, or its number. updated : True for a posterior, False for a prediction.
+    time : s, or its number. stage : its place in `STAGES`. frame : of the drive.
     ids : (n,). landmarks : (n, 3) m. landmark_covariance : (n, 3, 3) m^2, of the positions in the world.
     world_T_imu : (4, 4) or None. pose_covariance : (6, 6) as a right perturbation, or None.
     covariance : (3n+t, 3n+t) in the filter's own coordinates, or None. true_world_T_imu : (4, 4) or None.
@@ -74,7 +76,6 @@ class Snapshot:
 
     label: str
     time: float
-    updated: bool
     ids: np.ndarray
     landmarks: np.ndarray
     landmark_covariance: np.ndarray
@@ -89,6 +90,13 @@ class Snapshot:
     path: np.ndarray | None = None
     path_covariance: np.ndarray | None = None
     caption: str = ""
+    stage: int = 1
+    frame: int = 0
+
+    @property
+    def updated(self) -> bool:
+        """Whether it is a posterior."""
+        return self.stage > 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,6 +139,10 @@ class History:
                 return one
         raise KeyError(f"{name!r} is not among {[one.name for one in self.series]}")
 
+    def at(self, frame: int, stage: int = len(STAGES) - 1) -> int:
+        """Number of the last snapshot up to this frame and stage."""
+        return sum((s.frame, s.stage) <= (frame, stage) for s in self.snapshots) - 1
+
     @property
     def covariances(self) -> list[np.ndarray]:
         """The joint covariance of each snapshot; [] where one has none."""
@@ -145,13 +157,14 @@ def all_ids(histories: Sequence[History]) -> np.ndarray:
 
 
 def from_steps(name: str, steps: Iterable[Step], drive: Drive, error_state: ErrorState | None = None, *,
-               world_T_imu: np.ndarray | None = None) -> History:
-    """The history of a filter: two snapshots a step, its prior and its posterior.
+               world_T_imu: np.ndarray | None = None, births: Collection[int] = ()) -> History:
+    """The history of a filter: of each step its prior, its posterior, and that again with the landmarks born last.
 
     steps : `Step`s whose beliefs are a joint `Belief`, a `MapBelief` or a `PoseBelief`.
     drive : the Drive they were run on; its true landmarks are the known map of a filter that estimates a pose only.
     error_state : that of a joint filter, by default `error_state.fitting`.
     world_T_imu : (T, 4, 4), the poses that were given to a filter which estimates a map only.
+    births : frames that get a snapshot of the births even where this filter has none there, as another filter has.
     Raises ValueError for an empty history.
     """
     steps = tuple(steps)
@@ -159,28 +172,31 @@ def from_steps(name: str, steps: Iterable[Step], drive: Drive, error_state: Erro
         raise ValueError(f"{name or 'history'}: an explorer needs at least one step")
     error_state = error_state or fitting(steps[0].posterior)
     snapshots: list[Snapshot] = []
+    beliefs: list[Any] = []
     nis, numbers = [np.nan], [0]
     for step in steps:
         truth = drive.true_world_T_imu[step.k] if drive.has_truth else None
         pose = None if world_T_imu is None else world_T_imu[step.k]
-        sight = look(step, drive, error_state, pose)
-        value, count = frame_nis(step, drive, error_state, pose)
-        nis += [value, value]
-        numbers += [count, count]
-        for belief, updated in ((step.prior, False), (step.posterior, True)):
-            now = replace(of_belief(belief, error_state, pose), time=float(step.time), updated=updated, sight=sight,
-                          label=f"frame {step.k}, {step.time:.1f} s, {'updated' if updated else 'predicted'}",
-                          born=step.born if updated else NOBODY, retired=NOBODY if updated else step.retired,
-                          true_world_T_imu=truth)
-            if len(now.born) and hasattr(belief, "points"):
-                now = replace(now, triangulated=given_the_pose(belief, error_state)[np.searchsorted(now.ids, now.born)])
+        sight, (value, count) = look(step, drive, error_state, pose), frame_nis(step, drive, error_state, pose)
+        new, after = born_last(step), of_belief(step.posterior, error_state, pose)
+        half_steps = [(step.prior, of_belief(step.prior, error_state, pose), np.setdiff1d(step.born, new)),
+                      (step.posterior, without(after, new), NOBODY), (step.posterior, after, new)]
+        for stage, (belief, now, born) in enumerate(half_steps[:3 if len(new) or step.k in births else 2]):
+            now = replace(now, time=float(step.time), stage=stage, frame=step.k, sight=sight, born=born,
+                          label=f"frame {step.k}, {step.time:.1f} s, {STAGES[stage]}",
+                          retired=NOBODY if stage else step.retired, true_world_T_imu=truth)
+            if len(born) and hasattr(belief, "points"):
+                now = replace(now, triangulated=given_the_pose(belief, error_state)[np.searchsorted(now.ids, born)])
             snapshots.append(replace(now, caption=describe(snapshots[-1] if snapshots else None, now, pose is None)))
+            beliefs.append(belief)
+            nis.append(value)
+            numbers.append(count)
     # Until the update of a frame, the NIS of the frame before stands.
     summed = np.where(np.array(numbers[:-1]) > 0, numbers[:-1], np.nan)
     nis_series = Series("NIS / landmark", "4 is honest", 4 * np.array(nis[:-1]) / summed, *4 * nis_band(summed))
     series = [*pose_series(snapshots), nis_series]
     if truth is not None and snapshots[0].pose_covariance is not None:
-        series.insert(-1, nees_series(steps, drive, error_state))
+        series.insert(-1, nees_series(beliefs, snapshots, error_state))
     return History(name, error_state.role, "half-step", "time (s)", row_names(snapshots, error_state),
                    tuple(snapshots), tuple(series))
 
@@ -196,7 +212,7 @@ def from_beliefs(labels: Sequence[str], beliefs: Sequence[Any], drive: Drive, *,
     snapshots: list[Snapshot] = []
     for i, (label, belief, k) in enumerate(zip(labels, beliefs, frames)):
         truth = drive.true_world_T_imu[k] if drive.has_truth else None
-        now = replace(of_belief(belief, error_state), label=label, time=float(i), updated=True, true_world_T_imu=truth)
+        now = replace(of_belief(belief, error_state), label=label, time=float(i), true_world_T_imu=truth)
         before = snapshots[-1] if snapshots else None
         if before is not None:
             now = replace(now, born=np.setdiff1d(now.ids, before.ids), retired=np.setdiff1d(before.ids, now.ids))
@@ -212,7 +228,7 @@ def from_beliefs(labels: Sequence[str], beliefs: Sequence[Any], drive: Drive, *,
 
 def of_belief(belief, error_state, pose=None) -> Snapshot:
     """A belief of any of the filters as a snapshot without its place in the history. pose : (4, 4), given, or None."""
-    at: dict[str, Any] = {"label": "", "time": 0.0, "updated": True}
+    at: dict[str, Any] = {"label": "", "time": 0.0}
     if isinstance(belief, PathBelief):
         last = None if belief.path_covariance is None else belief.path_covariance[-1]
         return Snapshot(**at, ids=belief.ids, landmarks=belief.landmarks, world_T_imu=belief.path[-1],
@@ -229,6 +245,22 @@ def of_belief(belief, error_state, pose=None) -> Snapshot:
     return Snapshot(**at, ids=belief.ids, landmarks=belief.landmarks, world_T_imu=belief.world_T_imu,
                     landmark_covariance=world_landmark_covariance(belief, error_state),
                     pose_covariance=right_pose_covariance(belief, error_state), covariance=belief.covariance)
+
+
+def born_last(step: Step) -> np.ndarray:
+    """Ids of the landmarks that were born after the step's update: a prior that holds them was born with them."""
+    known = np.flatnonzero(step.prior.seen) if hasattr(step.prior, "seen") else getattr(step.prior, "ids", NOBODY)
+    return np.setdiff1d(step.born, known)
+
+
+def without(now: Snapshot, ids: np.ndarray) -> Snapshot:
+    """The snapshot before these were born, exactly: a birth adds rows, and changes none that are there."""
+    stay, P = ~np.isin(now.ids, ids), now.covariance
+    if P is not None:
+        rows = np.append(np.repeat(stay, 3), np.ones(len(P) - 3 * len(stay), bool))
+        P = P[np.ix_(rows, rows)]
+    return replace(now, ids=now.ids[stay], landmarks=now.landmarks[stay], covariance=P,
+                   landmark_covariance=now.landmark_covariance[stay])
 
 
 def given_the_pose(belief: Belief, error_state: ErrorState) -> np.ndarray:
@@ -307,11 +339,9 @@ def pulls(step: Step, drive: Drive, error_state: ErrorState) -> np.ndarray:
     return contribution
 
 
-def look(step, drive, error_state, pose) -> Sight | None:
-    """What the cameras saw in this step's frame, None where nothing was predicted."""
+def look(step, drive, error_state, pose) -> Sight:
+    """What the cameras saw in this step's frame."""
     seen = step.innovation
-    if len(seen.ids) == 0:
-        return None
     pull = np.zeros((len(seen.ids), 2)) if pose is not None else pulls(step, drive, error_state)[:, :2]
     projected = drive.camera.observe(*_pose_and_points(step.posterior, seen.ids, drive, pose))[0]
     return Sight(seen.ids, seen.measured[:, :2], seen.predicted[:, :2], projected[:, :2], seen.covariance[:, :2, :2],
@@ -341,10 +371,9 @@ def pose_series(snapshots) -> list[Series]:
                      for name, axis, scale, unit in POSE_ERRORS]
 
 
-def nees_series(steps, drive, error_state) -> Series:
+def nees_series(beliefs, snapshots, error_state) -> Series:
     """NEES of the pose in the filter's own error, with the 95 % band of six degrees of freedom."""
-    beliefs = [belief for step in steps for belief in (step.prior, step.posterior)]
-    truth = np.repeat(drive.true_world_T_imu[[step.k for step in steps]], 2, axis=0)
+    truth = np.array([s.true_world_T_imu for s in snapshots])
     claimed = [b.pose_covariance if hasattr(b, "ids") else b.covariance for b in beliefs]
     nees = metrics.pose_nees(error_state, truth, np.array([b.world_T_imu for b in beliefs]), np.array(claimed)).pose
     low, high = metrics.chi2_band(6, probability=0.95)
@@ -367,16 +396,21 @@ def row_names(snapshots, error_state) -> tuple[list[str], list[str]]:
 
 def describe(before: Snapshot | None, now: Snapshot, estimates_pose: bool) -> str:
     """What led from one snapshot to the next, in words and numbers."""
-    if not (estimates_pose or now.updated or len(now.retired)):
+    if STAGES[now.stage] == "born":
+        return f"new: {listed(now.born)}; nothing else changes" if len(now.born) else "nothing changes, no birth here"
+    if not (estimates_pose or now.updated or len(now.retired) or len(now.born)):
         return "nothing changes, because the poses are given and landmarks stand still"
     words = [_pose_words(before, now)] if now.pose_covariance is not None else []
-    if now.updated and now.sight is not None:
-        out = now.sight.ids[~now.sight.accepted]
+    seen = now.sight if now.updated else None
+    if seen is not None and len(seen.ids):
+        out = seen.ids[~seen.accepted]
         what = "the pose" if not len(now.ids) else "the map and the pose" if estimates_pose else "the map"
-        words.insert(0, f"{int(now.sight.accepted.sum())} of {len(now.sight.ids)} measurements correct {what}")
+        words.insert(0, f"{int(seen.accepted.sum())} of {len(seen.ids)} measurements correct {what}")
         words += [f"the gate keeps out {listed(out)}"] if len(out) else []
     if before is not None and len(now.ids):
         words.append(_map_words(before, now))
+    if seen is not None and not len(seen.ids) and {"", POSE_STAYS, MAP_STAYS}.issuperset(words):
+        return "nothing changes, because no landmark of the state is measured"
     words += [f"new: {listed(now.born)}"] if len(now.born) else []
     words += [f"left the state: {listed(now.retired)}"] if len(now.retired) else []
     return "; ".join(filter(None, words)) or "nothing is known yet"
@@ -389,7 +423,7 @@ def _pose_words(before, now) -> str:
         scale, unit = (180 / np.pi, "°") if unit == "°" else (100, " cm")
         shown.append(f"{name} " + " → ".join(f"{scale * s[axis]:.2g}" for s in sigmas) + unit)
     if before is not None and np.allclose(sigmas[0], sigmas[1], rtol=1e-9):
-        return "the pose stays as it was"
+        return POSE_STAYS
     moved = "" if before is None else " shrinks," if sigmas[1].prod() < sigmas[0].prod() else " grows,"
     return f"pose σ{moved} " + ", ".join(shown)
 
@@ -403,7 +437,7 @@ def _map_words(before, now) -> str:
     shrink = longest[1] / longest[0]
     best = int(np.argmin(shrink))
     if abs(shrink[best] - 1) < 1e-3:
-        return "no landmark ellipse changes" if abs(shrink.max() - 1) < 1e-3 else "landmark ellipses grow"
+        return MAP_STAYS if abs(shrink.max() - 1) < 1e-3 else "landmark ellipses grow"
     return f"landmark {common[best]} gains most, σ {longest[0][best]:.2g} → {longest[1][best]:.2g} m"
 
 

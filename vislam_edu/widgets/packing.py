@@ -90,7 +90,7 @@ def pack(histories: list[History], drive, start: int, landmark: int, show: int,
         "n": lengths[0], "unit": histories[0].unit, "axis": histories[0].axis, "start": start, "landmark": landmark,
         "quantity": quantity, "show": show, "ids": ids.tolist(), "image": image_size(histories),
         "labels": [s.label for s in histories[0].snapshots],
-        "updated": [int(s.updated) for s in histories[0].snapshots],
+        "stage": [s.stage for s in histories[0].snapshots],
         "truth": truth(block, drive, ids), "colours": style.both_themes(),
         "runs": [run(block, history) for history in histories]}
     size = block.size + len(json.dumps(header))

@@ -1,4 +1,4 @@
-"""A `Panel`: a picture with a slider, a switch or a list for each of its controls.
+"""A `Panel`: a picture with a slider, a switch, buttons or a list for each of its controls.
 
 The picture is a PNG in an `Image`, the controls are native inputs (`control.js`); the widget runs without a browser,
 so that a test or a cell may say `panel.controls["depth"].value = 7` and look at the picture. Where there is no kernel

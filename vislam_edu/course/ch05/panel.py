@@ -12,6 +12,7 @@ from ...belief import Step
 from ...drive import Drive
 from ...noise import Noise
 from ...plots.style import COLOURS, ellipse_points
+from ...widgets import history
 from ...widgets.canvas import Choice, Decades, Number, Picture
 from ...widgets.explorer import Explorer
 from ...widgets.panel import Control
@@ -62,7 +63,7 @@ def leaving_out(what: str, number: int) -> Callable:
 class WhatIf(ipywidgets.VBox):
     """An explorer of the joint filter with two controls that run it again: V times k, and measurements left out.
 
-    drive : Drive. noise : Noise of the run that it is compared with. start : the half-step to begin with.
+    drive : Drive. noise : Noise of the run that it is compared with. start : the frame to begin with.
     factor : control, k in V -> k V. leave_out : control, which measurements the filter does not get: `NOTHING`, those
     of the `LANDMARK` that is chosen when it is set, after its birth, or those of the `FRAME` that is shown then.
     text : the widget that says what was left out, and by how much the sigmas of the shown half-step differ.
@@ -92,7 +93,8 @@ class WhatIf(ipywidgets.VBox):
         return list(window_slam.run(self.drive, V_times_k, process_frame=process))
 
     def _leave_out(self, change):
-        number = {LANDMARK: self.explorer.landmark, FRAME: self.explorer.half_step // 2}.get(change.new, -1)
+        shown = self.explorer.histories[0].snapshots[self.explorer.half_step]
+        number = {LANDMARK: self.explorer.landmark, FRAME: shown.frame}.get(change.new, -1)
         self.left_out = (change.new, number) if number >= 0 else None
         self._run()
 
@@ -103,11 +105,10 @@ class WhatIf(ipywidgets.VBox):
 
     def ratios(self) -> dict[str, float]:
         """Longest sigma of the pose's position and of each landmark in the shown half-step: what if over as it was."""
-        k, updated = divmod(self.explorer.half_step, 2)
-        was, now = (steps[k].posterior if updated else steps[k].prior for steps in (self.before, self.after))
+        was, now = (one.snapshots[self.explorer.half_step] for one in self.explorer.histories)
         common, i, j = np.intersect1d(was.ids, now.ids, return_indices=True)
-        longest = [np.sqrt(np.linalg.eigvalsh(np.concatenate([one.pose_covariance[None, :3, :3],
-                                                              one.landmark_covariance[rows]]))[:, -1])
+        longest = [history.principal_sigmas(np.concatenate([np.array([one.pose_covariance])[:, :3, :3],
+                                                            one.landmark_covariance[rows]]))[:, 0]
                    for one, rows in ((was, i), (now, j))]
         return dict(zip(["pose", *map(str, common)], longest[1] / longest[0]))
 
@@ -160,7 +161,7 @@ class TwoNumbersPicture(Picture):
             states = two_numbers(looks, drop)
             for line, P in ((was, states[step - 1] if step else None), (now, states[step])):
                 line.set_data(*(([], []) if P is None else ellipse_points(np.zeros(2), P).T))
-            half = 1.96 * LOOK_SIGMA * (1 if step == 3 else looks**-0.5)
+            half = 1.96 * LOOK_SIGMA * (looks**-0.5 if step == 1 else 1)
             band.set_xy([[-6 + half, -6], [6 + half, 6], [6 - half, 6], [-6 - half, -6]])
             band.set_visible(step != 2)
 
