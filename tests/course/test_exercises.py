@@ -285,6 +285,20 @@ def test_odd_results_are_told_in_words(answer, words):
     assert words in verdict.text
 
 
+class Exits:
+    def __array__(self, *_, **__):
+        raise SystemExit
+
+
+def stops(omega):
+    raise running._Stop
+
+
+@pytest.mark.parametrize("answer", [lambda omega: [[10**5000] * 3] * 3, lambda omega: Exits(), stops])
+def test_an_answer_whose_result_cannot_be_read_is_wrong(answer):
+    assert judge(EXERCISES["so3_hat"], answer).status == WRONG
+
+
 def test_a_transposed_result_is_told():
     text = judge(EXERCISES["odot"], lambda point: se3.odot(point).T).text
     assert "shape (6, 4); it should be (4, 6). The numbers are right, but transposed." in text
