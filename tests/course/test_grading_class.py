@@ -335,7 +335,7 @@ def test_names_and_layout_do_not_make_another_answer():
 
 
 def test_students_are_handed_stubs_and_nothing_of_the_teachers(tmp_path, capsys):
-    assert cli.main(["hand-out", str(tmp_path / "course"), "--chapters", "03", "13"]) == 0
+    assert cli.main(["hand-out", str(tmp_path / "course"), "--for", "students", "--chapters", "03", "13"]) == 0
     files = {path.relative_to(tmp_path / "course").as_posix() for path in (tmp_path / "course").rglob("*")}
     assert {"notebooks/03_landmark_ekf.ipynb", "notebooks/13_your_own_filter.ipynb", "docs/notation.md",
             "data/first_steps.npz"} <= files
@@ -348,6 +348,13 @@ def test_students_are_handed_stubs_and_nothing_of_the_teachers(tmp_path, capsys)
     (tmp_path / "worked.ipynb").write_text(source.read_text(encoding="utf-8").replace(
         "raise NotImplementedError", "return 42"), encoding="utf-8")
     assert b"return 42" not in hand_out._cleared(tmp_path / "worked.ipynb", keep_outputs=True)
+    assert cli.main(["hand-out", str(tmp_path / "own"), "--for", "teachers", "--chapters", "01"]) == 0
+    assert (tmp_path / "own" / "docs" / "instructor.md").exists()
+    text = (tmp_path / "own" / "notebooks" / "01_se3_kinematics.ipynb").read_text(encoding="utf-8")
+    [stub] = ["".join(cell["source"]) for cell in json.loads(text)["cells"] if cell["id"] == "so3-hat"]
+    assert "NotImplementedError" not in stub
+    exec(stub, scope := {"np": np})
+    assert judge(EXERCISES["so3_hat"], scope["so3_hat"]).right
     assert cli.main(["hand-out", str(tmp_path / "other"), "--chapters", "99"]) == cli.BAD_INPUT
     assert capsys.readouterr().err == "vislam_edu: 99: there is no notebook of this chapter\n"
     assert not (tmp_path / "other").exists()
