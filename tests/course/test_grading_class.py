@@ -15,6 +15,7 @@ from blind_answers import read
 
 from vislam_edu import cli
 from vislam_edu.cli.arguments import OptionError
+from vislam_edu.course.checks import surroundings
 from vislam_edu.course.checks.running import copied
 from vislam_edu.course.checks.verdict import NOT_WRITTEN, RIGHT, WRONG, concluded, judge
 from vislam_edu.course.cli import hand_out
@@ -198,6 +199,7 @@ def test_names_in_bulk_downloads_are_read():
     for name, student in [("doejane_7_99_01_se3_kinematics.ipynb", "doejane 7"),
                           ("doejane_LATE_7_99_01_se3-2.ipynb", "doejane 7"),
                           ("Jane van Doe_1234_assignsubmission_file_/sub/a.ipynb", "Jane van Doe 1234"),
+                          ("Jane van Doe_1234_assignsubmission_file/a.ipynb", "Jane van Doe 1234"),
                           ("all/Jane van Doe_1234_assignsubmission_file_a.ipynb", "Jane van Doe 1234"),
                           ("anna/03_landmark_ekf.ipynb", "anna"), ("03_landmark_ekf.ipynb", "03_landmark_ekf")]:
         assert submitted(name).student == student
@@ -289,6 +291,18 @@ def test_the_verdict_is_that_of_the_notebook(function):
     exercise = EXERCISES["so3_hat"]
     told, here = through_data(exercise, function).text, judge(exercise, function).text
     assert told == here or "arrays of the shapes [(2000, 2000)]" in told
+
+
+@pytest.mark.parametrize("number", [0, 1, 7, 50])
+def test_a_notebook_that_changes_its_inputs_answers_for_others_than_it_is_judged_by(number, monkeypatch):
+    """With omega = 0, drawn or given, a matrix of zeros is right."""
+    exercise = EXERCISES["so3_hat"]
+    with monkeypatch.context() as patched:
+        patched.setattr(type(exercise), "inputs", lambda *_: [("random", (np.zeros(3),))] * number)
+        patched.setattr(surroundings, "restored", list)
+        assert judge(exercise, lambda omega: np.diag(omega)).right or not number
+        entry = json.loads(json.dumps(submission.tried("so3_hat", lambda omega: np.diag(omega))))
+    assert concluded(exercise, submission.received(entry["attempt"])).status == WRONG
 
 
 @pytest.mark.parametrize("name", [name for name, one in EXERCISES.items() if one.chapter in (1, 3, 5, 13)])

@@ -105,7 +105,7 @@ def _judged(exercise: Exercise, made: Attempt, limit) -> Verdict:
 
     reasons = [_reason(exercise, outcome, should) for outcome, should in zip(outcomes, expected)]
     failing = [i for i, reason in enumerate(reasons) if reason]
-    if ended and not failing:
+    if len(outcomes) < len(cases) and not failing:
         return _too_slow(exercise, cases[len(outcomes)], ended, limit)
     if not failing:
         rough = "" if all(outcome.precise for outcome in outcomes) else \
