@@ -34,7 +34,7 @@ BORROWED, NO_VERDICT, MISSING = "borrowed", "no verdict", "missing"
 _CALL = re.compile(r"\bcheck\.(\w+)\s*\(")
 _STUB = re.compile(r"^def (\w+)\(", re.MULTILINE)
 _CHAPTER = re.compile(r"(?:^|_)(\d\d)_[a-z]")
-_DOWNLOADED = re.compile(r"(?:^|/)(?P<name>[^/]+?)_(?:LATE_)?(?P<id>\d+)_(?:assignsubmission_file_|\d+_)")
+_DOWNLOADED = re.compile(r"(?:^|/)(?P<name>[^/]+?)_(?:LATE_)?(?P<id>\d+)_(?:assignsubmission_file|\d+_)")
 # What a notebook needs of the environment. The rest stays here: it may hold passwords and tokens.
 _PASSED_ON = {"PATH", "HOME", "USER", "LANG", "LC_ALL", "TZ", "TMPDIR", "TEMP", "TMP", "SYSTEMROOT", "SYSTEMDRIVE",
               "COMSPEC", "PATHEXT", "USERPROFILE", "APPDATA", "LOCALAPPDATA", "PYTHONPATH", "VIRTUAL_ENV",
