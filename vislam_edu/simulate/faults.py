@@ -3,7 +3,6 @@
 Each function returns a new `Drive` and says in its `history` what was planted. The ground truth stays what it was.
 """
 
-
 import numpy as np
 
 
