@@ -14,7 +14,7 @@ function make(tag, properties, ...children) {
 
 function render({ model, el }) {
   const { label, kind, low, high, step, names = [] } = model.get("spec");
-  const log = kind === "log", tick = kind === "switch", list = kind === "choice", few = list && names.length <= FEW;
+  const log = kind === "decades", tick = kind === "switch", list = kind === "choice", few = list && names.length <= FEW;
   const box = document.createElement(few ? "div" : "label"), name = document.createElement("span");
   const shown = document.createElement("output"), group = `choice ${Math.random()}`; // two views of one control are two groups
   const inputs = few ? names.map((value) => make("input", { type: "radio", name: group, value, style: "margin:0" }))

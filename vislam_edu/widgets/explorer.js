@@ -338,11 +338,12 @@ function drawMap(canvas, look, history, run) {
       numbered.push({ id: s.id, x, y });
     }
   }
-  shown.numbers = drawNumbers(ctx, numbered, look, c.measured);
+  shown.numbers = drawNumbers(ctx, numbered, look, c.measured, w);
   if (Number.isFinite(shot.pose[0])) drawCar(ctx, X(shot.pose[0]), Y(shot.pose[1]), shot.pose[3], look);
   mapLegend(ctx, look, history, place.k, w, h);
   if (Object.keys(shown.triangulated).length) {
-    label(ctx, "new, dashed: triangulation alone; the rest is the pose's share", 6, h - 28, c.accepted, look.paper);
+    const words = ["new, dashed: triangulation alone;", "the rest is the pose's share"], lines = w > 360 ? [words.join(" ")] : words;
+    lines.forEach((text, line) => label(ctx, text, 6, h - 28 - 13 * (lines.length - 1 - line), c.accepted, look.paper));
   }
   if (run.captions[look.i].startsWith("nothing changes")) label(ctx, "nothing changes in this half-step", 6, h - 28, c.prior, look.paper);
   if (side) {
@@ -350,21 +351,23 @@ function drawMap(canvas, look, history, run) {
   }
   shown.pose = [...shot.pose];
   const [forward, left, heading] = shown.inset ? shown.inset.sigmas : [];
-  shown.words = `car at ${short(shot.pose[0])}, ${short(shot.pose[1])} m${shown.inset
+  const [east, north] = [...shot.pose].map((v) => short(Number(v.toFixed(3)))); // to a millimetre
+  shown.words = `car at ${east}, ${north} m${shown.inset
     ? `, σ ${metres(forward)} forward, ${metres(left)} left, heading ${short(heading * 180 / Math.PI)}°` : ""}; `
     + `${shown.landmarks.length} landmarks${shot.born.length ? `, new: ${shot.born.join(", ")}` : ""}`;
   return shown;
 }
 
 /** The numbers of landmarks, the chosen one first; one that would cover another is left out. Returns their boxes. */
-function drawNumbers(ctx, landmarks, look, colour) {
+function drawNumbers(ctx, landmarks, look, colour, w) {
   const taken = [];
   for (const { id, x, y } of [...landmarks].sort((a, b) => (b.id === look.chosen) - (a.id === look.chosen))) {
-    const box = { id, left: x + 4, right: x + 6 + ctx.measureText(id).width, top: y - 14, bottom: y - 3 };
+    const wide = ctx.measureText(id).width + 2, left = x < w ? Math.min(x + 4, w - wide) : x + 4;
+    const box = { id, left, right: left + wide, top: y - 14, bottom: y - 3 };
     if (taken.some((other) => box.left < other.right && other.left < box.right
                               && box.top < other.bottom && other.top < box.bottom)) continue;
     taken.push(box);
-    label(ctx, String(id), x + 4, y - 4, id === look.chosen ? colour : look.ink, look.paper);
+    label(ctx, String(id), left, y - 4, id === look.chosen ? colour : look.ink, look.paper);
   }
   return taken;
 }
@@ -678,15 +681,17 @@ function drawMatrix(canvas, look, history, run) {
 function drawBlocks(canvas, look, history, run) {
   const { ctx, w, h } = prepare(canvas), shot = snapshot(run, look.i), at = shot.ids.indexOf(look.chosen);
   const what = { correlation: "correlation", covariance: "covariance", change: "change of the covariance" }[look.reading];
-  const shown = { id: look.chosen, values: [], words: `landmark ${look.chosen}: ${what} with itself and the pose` };
+  const units = look.reading === "correlation" ? "" : ` (m²; ${run.rows[1].slice(3, 6).join(", ")}: m · rad)`;
+  const words = [`landmark ${look.chosen}: ${what}`, `with itself and the pose${units}`];
+  const shown = { id: look.chosen, values: [], words: words.join(" ") };
   if (at < 0) {
     label(ctx, look.chosen < 0 ? "Click a landmark." : `Landmark ${look.chosen} is not in the state now.`, 4, 11, look.ink, look.paper);
     return shown;
   }
-  label(ctx, shown.words, 4, 11, look.colours.measured, look.paper);
+  words.forEach((text, line) => label(ctx, text, 4, 11 + 13 * line, look.colours.measured, look.paper));
   const all = readMatrix(run, look), d = shot.sigma.length, t = 3 * shot.n, own = [0, 1, 2].map((u) => 3 * at + u);
-  const columns = [...own, ...Array.from({ length: 6 }, (_, u) => t + u)], x0 = 44, y0 = 72, cell = (w - x0 - 28) / 9, high = (h - y0 - 4) / 3;
-  const name = (row) => (row < t ? run.rows[0][row - own[0]] : run.rows[1][row - t]) + (look.reading === "correlation" ? "" : ` (${rowUnit(run, shot, row)})`);
+  const columns = [...own, ...Array.from({ length: 6 }, (_, u) => t + u)], x0 = 20, y0 = 72, cell = (w - x0 - 16) / 9, high = (h - y0 - 4) / 3;
+  const name = (row) => (row < t ? run.rows[0][row - own[0]] : run.rows[1][row - t]);
   columns.forEach((column, j) => {
     ctx.save();
     ctx.translate(x0 + cell * (j + 0.5), y0 - 4);
@@ -702,10 +707,10 @@ function drawBlocks(canvas, look, history, run) {
       ctx.fillStyle = Number.isNaN(value) ? look.colours.faded : css(shade(look.table, strength));
       ctx.fillRect(x0 + cell * j + gap, y0 + high * i, cell - 1, high - 1);
       ctx.fillStyle = Math.abs(strength) > 0.55 ? "#ffffff" : look.dark && !Number.isNaN(value) ? "#e8e8e8" : "#1a1a1a";
-      ctx.font = "10px system-ui, sans-serif";
+      ctx.font = `${cell < 29 ? 9 : 10}px system-ui, sans-serif`;
       ctx.textAlign = "center";
-      const text = Number.isNaN(value) ? "new" : look.reading === "correlation" ? value.toFixed(2) : value.toExponential(0);
-      ctx.fillText(text.replaceAll("-", "−"), x0 + cell * (j + 0.5) + gap, y0 + high * (i + 0.6));
+      const text = Number.isNaN(value) ? "new" : look.reading === "correlation" ? value.toFixed(2) : value ? value.toExponential(0).replace("e+0", "") : "0";
+      ctx.fillText(text.replaceAll("-", "−"), x0 + cell * (j + 0.5) + gap, y0 + high * (i + 0.6), cell - 3);
       ctx.font = "11px system-ui, sans-serif";
     });
   });
@@ -785,7 +790,7 @@ function drawColourBar(ctx, look, history, w, h) {
   }
   ctx.fillStyle = look.ink;
   ctx.textBaseline = "middle";
-  for (const v of barTicks(look, history.scale)) {
+  for (const v of barTicks(look, history.scale, below ? 1 : 3)) {
     const text = look.reading === "correlation" ? String(v).replace("-", "−") : power(v);
     if (below) label(ctx, text, x + length - at(look.toScale(v)), y + 16, look.ink, look.paper, "center");
     else ctx.fillText(text, x + 13, y + at(look.toScale(v)));
@@ -796,10 +801,10 @@ function drawColourBar(ctx, look, history, w, h) {
   else ["m², rad²,", "m · rad"].forEach((unit, line) => ctx.fillText(unit, x - 6, 10 + 11 * line));
 }
 
-/** Numbers to write at the colour bar. */
-function barTicks(look, { low, high }) {
+/** Numbers to write at the colour bar: of a covariance zero, and n powers of ten to each side. */
+function barTicks(look, { low, high }, n) {
   if (look.reading === "correlation") return [1, 0.5, 0, -0.5, -1];
-  const powers = [], top = Math.floor(Math.log10(high)), step = Math.max(1, Math.ceil((top - Math.log10(low)) / 3));
+  const powers = [], top = Math.floor(Math.log10(high)), step = Math.max(1, Math.ceil((top - Math.log10(low)) / n));
   for (let p = top; p > Math.log10(low) + 0.7; p -= step) powers.push(10 ** p);
   return [...powers, 0, ...powers.map((v) => -v)];
 }
@@ -843,13 +848,13 @@ function drawLandmark(canvas, look, history, runs) {
   const now = runs.map((run) => snapshot(run, look.i)), at = now.map((s) => s.ids.indexOf(look.chosen));
   shown.axes = now.map((s, r) => (at[r] < 0 ? null : [...s.axes.subarray(3 * at[r], 3 * at[r] + 3)]));
   const words = [[`landmark ${look.chosen}: `, c.measured], ...(shown.axes[0]
-    ? shown.axes[0].map((v, axis) => [`${axis ? "" : "σ longest "}${metres(v)}${axis < 2 ? ", " : " "}`, hues[axis]])
+    ? shown.axes[0].map((v, axis) => [`${axis ? "" : "σ longest "}${metres(v)}${axis < 2 ? ", " : ""}`, hues[axis]])
     : [["not in the state now", look.ink]])];
   labels(ctx, 4, 11, look, words);
   shown.words = words.map(([text]) => text).join("");
   if (at[0] >= 0 && runs[0].matrix) {
     shown.shares = shares(runs[0], now[0], at[0]);
-    shown.words += shown.shares;
+    shown.words += `; ${shown.shares}`;
     label(ctx, shown.shares + (runs.length > 1 ? `; dashed: ${runs[1].name}` : ""), 4, 24, look.ink, look.paper);
   }
   return shown;
@@ -986,7 +991,7 @@ function plotArea(ctx, look, history, area, range, unit, axis = true) {
     ctx.moveTo(area.x, y); ctx.lineTo(area.x + area.w, y);
     ctx.stroke();
     const inside = Math.min(Math.max(y, area.y + 5), area.y + area.h - (axis ? 0 : 4)); // clear of what is written above and below
-    label(ctx, `${short(v)}${unit ? ` ${unit}` : ""}`, area.x - 4, inside, look.ink, look.paper, "right");
+    label(ctx, `${short(v)}${unit ? ` ${unit}` : ""}`, area.x - 7, inside, look.ink, look.paper, "right");
   }
   ctx.textBaseline = "alphabetic";
   if (axis) {
@@ -1050,16 +1055,16 @@ function plotArea(ctx, look, history, area, range, unit, axis = true) {
   };
 }
 
-/** Round numbers from low to high, about n of them. */
+/** Round numbers from low to high, about n of them, two at least. */
 function steps(low, high, n) {
   const step = niceAbove((high - low) / Math.max(n, 1)), found = [];
   for (let v = Math.ceil(low / step) * step; v <= high + 1e-9 * step; v += step) found.push(Math.abs(v) < step / 1e6 ? 0 : v);
-  return found;
+  return found.length > 1 || n > 50 ? found : steps(low, high, 2 * Math.max(n, 1));
 }
 
-/** At most about n powers of ten in a range, and 2 and 5 times them where it spans less than two. */
+/** At most about n powers of ten in a range, and numbers between them where it spans less than two. */
 function decades({ y0, y1 }, n) {
-  const found = [], factors = y1 / y0 < 30 ? [1, 2, 5] : [1], every = Math.ceil(Math.log10(y1 / y0) / n);
+  const found = [], span = y1 / y0, factors = span < 5 ? [1, 1.5, 2, 3, 4, 5, 7] : span < 30 ? [1, 2, 5] : [1], every = Math.ceil(Math.log10(y1 / y0) / n);
   for (let p = Math.floor(Math.log10(y0)); p <= Math.log10(y1); p++) {
     if (p % Math.max(every, 1)) continue;
     for (const m of factors) if (m * 10 ** p >= y0 * 0.999 && m * 10 ** p <= y1 * 1.001) found.push(m * 10 ** p);
@@ -1159,7 +1164,7 @@ const STYLE = `
   --vx-focus: #8ab4f8; color-scheme: dark; }
 .vx[data-theme=light] { color-scheme: light; }
 .vx-bar { display: flex; flex-wrap: wrap; gap: 3px 10px; align-items: center; margin: 2px 0; }
-.vx-bar label { display: inline-flex; gap: 4px; align-items: center; white-space: nowrap; }
+.vx-bar label { display: inline-flex; gap: 6px; align-items: center; white-space: nowrap; }
 .vx button, .vx select { font: inherit; color: inherit; background: transparent; border: 1px solid var(--vx-edge);
   border-radius: 3px; min-width: 26px; min-height: 24px; padding: 0 5px; cursor: pointer; }
 .vx option { color: var(--vx-ink); background: Canvas; }

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from .. import kalman, metrics, se3
-from ..belief import Belief, Step
+from ..belief import Belief, Innovation, Step
 from ..drive import Drive
 from ..error_state import ErrorState, fitting, right_pose_covariance, to_right, world_landmark_covariance
 from ..stereo import FOUR_FROM_THREE
@@ -41,26 +41,6 @@ class PathBelief:
 
 
 @dataclass(frozen=True, eq=False)
-class Sight:
-    """The measurements of one frame in the left image, for n landmarks that were predicted.
-
-    ids : (n,). measured, predicted, projected : (n, 2) px: the pixel, where the prior puts it, and where the
-    posterior does. covariance : (n, 2, 2) px^2, S of [u, v]. nis : (n,). accepted : (n,) bool.
-    pulls : (n, 2) m, what each measurement adds to the correction of the position, along the predicted body axes
-    [forward, left]; zero where the gate kept it out.
-    """
-
-    ids: np.ndarray
-    measured: np.ndarray
-    predicted: np.ndarray
-    projected: np.ndarray
-    covariance: np.ndarray
-    nis: np.ndarray
-    accepted: np.ndarray
-    pulls: np.ndarray
-
-
-@dataclass(frozen=True, eq=False)
 class Snapshot:
     """One state of an estimate, everything in world coordinates.
 
@@ -69,21 +49,25 @@ class Snapshot:
     ids : (n,). landmarks : (n, 3) m. landmark_covariance : (n, 3, 3) m^2, of the positions in the world.
     world_T_imu : (4, 4) or None. pose_covariance : (6, 6) as a right perturbation, or None.
     covariance : (3n+t, 3n+t) in the filter's own coordinates, or None. true_world_T_imu : (4, 4) or None.
-    sight : the measurements, or None. born, retired : ids.
+    sight : the measurements, or None. projected : (m, 2) px, where the posterior puts them in the left image.
+    pulls : (m, 2) m, what each adds to the correction of the position, along the predicted body axes [forward, left];
+    zero where the gate kept it out. born, retired : ids.
     triangulated : (b, 3, 3) m^2, covariance that the landmarks born here would have if the pose were known exactly.
     path : (P, 4, 4) and path_covariance : (P, 6, 6), or None where the path is that of the snapshots before.
     """
 
-    label: str
-    time: float
     ids: np.ndarray
     landmarks: np.ndarray
     landmark_covariance: np.ndarray
+    label: str = ""
+    time: float = 0.0
     world_T_imu: np.ndarray | None = None
     pose_covariance: np.ndarray | None = None
     covariance: np.ndarray | None = None
     true_world_T_imu: np.ndarray | None = None
-    sight: Sight | None = None
+    sight: Innovation | None = None
+    projected: np.ndarray = field(default_factory=lambda: np.empty((0, 2)))
+    pulls: np.ndarray = field(default_factory=lambda: np.empty((0, 2)))
     born: np.ndarray = field(default_factory=lambda: NOBODY)
     retired: np.ndarray = field(default_factory=lambda: NOBODY)
     triangulated: np.ndarray = field(default_factory=lambda: np.empty((0, 3, 3)))
@@ -173,16 +157,16 @@ def from_steps(name: str, steps: Iterable[Step], drive: Drive, error_state: Erro
     error_state = error_state or fitting(steps[0].posterior)
     snapshots: list[Snapshot] = []
     beliefs: list[Any] = []
-    nis, numbers = [np.nan], [0]
+    nis, numbers = [np.nan], [np.nan]
     for step in steps:
         truth = drive.true_world_T_imu[step.k] if drive.has_truth else None
         pose = None if world_T_imu is None else world_T_imu[step.k]
-        sight, (value, count) = look(step, drive, error_state, pose), frame_nis(step, drive, error_state, pose)
         new, after = born_last(step), of_belief(step.posterior, error_state, pose)
+        seen, (value, count) = look(step, after, drive, error_state, pose), frame_nis(step, drive, error_state, pose)
         half_steps = [(step.prior, of_belief(step.prior, error_state, pose), np.setdiff1d(step.born, new)),
                       (step.posterior, without(after, new), NOBODY), (step.posterior, after, new)]
         for stage, (belief, now, born) in enumerate(half_steps[:3 if len(new) or step.k in births else 2]):
-            now = replace(now, time=float(step.time), stage=stage, frame=step.k, sight=sight, born=born,
+            now = replace(now, **seen, time=float(step.time), stage=stage, frame=step.k, born=born,
                           label=f"frame {step.k}, {step.time:.1f} s, {STAGES[stage]}",
                           retired=NOBODY if stage else step.retired, true_world_T_imu=truth)
             if len(born) and hasattr(belief, "points"):
@@ -192,9 +176,8 @@ def from_steps(name: str, steps: Iterable[Step], drive: Drive, error_state: Erro
             nis.append(value)
             numbers.append(count)
     # Until the update of a frame, the NIS of the frame before stands.
-    summed = np.where(np.array(numbers[:-1]) > 0, numbers[:-1], np.nan)
-    nis_series = Series("NIS / landmark", "4 is honest", 4 * np.array(nis[:-1]) / summed, *4 * nis_band(summed))
-    series = [*pose_series(snapshots), nis_series]
+    honest = Series("NIS / landmark", "4 is honest", 4 * np.divide(nis, numbers)[:-1], *4 * nis_band(numbers[:-1]))
+    series = [*pose_series(snapshots), honest]
     if truth is not None and snapshots[0].pose_covariance is not None:
         series.insert(-1, nees_series(beliefs, snapshots, error_state))
     return History(name, error_state.role, "half-step", "time (s)", row_names(snapshots, error_state),
@@ -216,8 +199,7 @@ def from_beliefs(labels: Sequence[str], beliefs: Sequence[Any], drive: Drive, *,
         before = snapshots[-1] if snapshots else None
         if before is not None:
             now = replace(now, born=np.setdiff1d(now.ids, before.ids), retired=np.setdiff1d(before.ids, now.ids))
-        words = captions[i] if captions else describe(before, now, True)
-        snapshots.append(replace(now, caption=words))
+        snapshots.append(replace(now, caption=captions[i] if captions else describe(before, now, True)))
     nothing = np.full(len(beliefs), np.nan)
     given = [Series(key, "", np.asarray(values, float), nothing, nothing,
                     log=bool(np.nanmax(values) > 100 * np.nanmin(values) > 0))
@@ -228,23 +210,20 @@ def from_beliefs(labels: Sequence[str], beliefs: Sequence[Any], drive: Drive, *,
 
 def of_belief(belief, error_state, pose=None) -> Snapshot:
     """A belief of any of the filters as a snapshot without its place in the history. pose : (4, 4), given, or None."""
-    at: dict[str, Any] = {"label": "", "time": 0.0}
     if isinstance(belief, PathBelief):
         last = None if belief.path_covariance is None else belief.path_covariance[-1]
-        return Snapshot(**at, ids=belief.ids, landmarks=belief.landmarks, world_T_imu=belief.path[-1],
-                        landmark_covariance=belief.landmark_covariance, pose_covariance=last,
-                        covariance=belief.covariance, path=belief.path, path_covariance=belief.path_covariance)
+        return Snapshot(belief.ids, belief.landmarks, belief.landmark_covariance, world_T_imu=belief.path[-1],
+                        pose_covariance=last, covariance=belief.covariance, path=belief.path,
+                        path_covariance=belief.path_covariance)
     if hasattr(belief, "seen"):
         ids = np.flatnonzero(belief.seen)
-        return Snapshot(**at, ids=ids, landmarks=belief.landmarks[ids], landmark_covariance=belief.covariance[ids],
-                        world_T_imu=pose)
+        return Snapshot(ids, belief.landmarks[ids], belief.covariance[ids], world_T_imu=pose)
     if not hasattr(belief, "ids"):
-        return Snapshot(**at, ids=NOBODY, landmarks=np.empty((0, 3)), landmark_covariance=np.empty((0, 3, 3)),
-                        world_T_imu=belief.world_T_imu, pose_covariance=belief.covariance,
-                        covariance=belief.covariance)
-    return Snapshot(**at, ids=belief.ids, landmarks=belief.landmarks, world_T_imu=belief.world_T_imu,
-                    landmark_covariance=world_landmark_covariance(belief, error_state),
-                    pose_covariance=right_pose_covariance(belief, error_state), covariance=belief.covariance)
+        return Snapshot(NOBODY, np.empty((0, 3)), np.empty((0, 3, 3)), world_T_imu=belief.world_T_imu,
+                        pose_covariance=belief.covariance, covariance=belief.covariance)
+    return Snapshot(belief.ids, belief.landmarks, world_landmark_covariance(belief, error_state),
+                    world_T_imu=belief.world_T_imu, covariance=belief.covariance,
+                    pose_covariance=right_pose_covariance(belief, error_state))
 
 
 def born_last(step: Step) -> np.ndarray:
@@ -310,14 +289,14 @@ def joint(step, drive, error_state, rows, pose=None) -> tuple[np.ndarray, np.nda
     return P, H[rows].reshape(m, -1), S[rows][:, :, rows].reshape(m, m), seen.residual[rows].ravel()
 
 
-def frame_nis(step: Step, drive: Drive, error_state: ErrorState, pose=None) -> tuple[float, int]:
+def frame_nis(step: Step, drive: Drive, error_state: ErrorState, pose=None) -> tuple[float, float]:
     """NIS of a step's whole frame, and how many numbers it sums: four a landmark in front of the camera.
 
-    error_state : of a joint filter. pose : (4, 4), where it was given to the filter. Returns (NaN, 0) for no landmark.
+    error_state : of a joint filter. pose : (4, 4), where it was given to the filter. Returns NaNs for no landmark.
     """
     rows = np.isfinite(step.innovation.nis)
     if not rows.any():
-        return np.nan, 0
+        return np.nan, np.nan
     _, _, S, residual = joint(step, drive, error_state, rows, pose)
     return float(kalman.nis(residual, S)), len(residual)
 
@@ -339,22 +318,14 @@ def pulls(step: Step, drive: Drive, error_state: ErrorState) -> np.ndarray:
     return contribution
 
 
-def look(step, drive, error_state, pose) -> Sight:
-    """What the cameras saw in this step's frame."""
-    seen = step.innovation
-    pull = np.zeros((len(seen.ids), 2)) if pose is not None else pulls(step, drive, error_state)[:, :2]
-    projected = drive.camera.observe(*_pose_and_points(step.posterior, seen.ids, drive, pose))[0]
-    return Sight(seen.ids, seen.measured[:, :2], seen.predicted[:, :2], projected[:, :2], seen.covariance[:, :2, :2],
-                 seen.nis, seen.accepted, pull)
-
-
-def _pose_and_points(belief, ids, drive, pose):
-    """world_T_imu (4, 4) and the landmarks `ids` (n, 3), as this belief has or was given them."""
-    if hasattr(belief, "seen"):
-        return pose, belief.landmarks[ids]
-    if not hasattr(belief, "ids"):
-        return belief.world_T_imu, drive.true_landmarks[ids]
-    return belief.world_T_imu, belief.landmarks[np.searchsorted(belief.ids, ids)]
+def look(step, after, drive, error_state, pose) -> dict[str, Any]:
+    """What the cameras saw in this step's frame, as fields of a snapshot. after : `of_belief` of its posterior."""
+    ids = step.innovation.ids
+    given = len(after.ids) < len(ids)  # the filter holds no landmark
+    points = drive.true_landmarks[ids] if given else after.landmarks[np.searchsorted(after.ids, ids)]
+    pull = np.zeros((len(ids), 2)) if pose is not None else pulls(step, drive, error_state)[:, :2]
+    projected = drive.camera.observe(after.world_T_imu, points)[0][:, :2]
+    return {"sight": step.innovation, "projected": projected, "pulls": pull}
 
 
 def pose_series(snapshots) -> list[Series]:

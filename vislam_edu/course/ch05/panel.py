@@ -82,15 +82,10 @@ class WhatIf(ipywidgets.VBox):
         self.factor.observe(lambda _: self._run(), names="value")
         self.leave_out.observe(self._leave_out, names="value")
         self.explorer.observe(self._say, names="half_step")
-        controls = ipywidgets.Box([self.factor, self.leave_out], layout=ipywidgets.Layout(flex_flow="row wrap"))
+        controls = ipywidgets.Box([self.factor, self.leave_out],
+                                  layout=ipywidgets.Layout(flex_flow="row wrap", align_items="center"))
         super().__init__([controls, self.text, self.explorer])
         self._say()
-
-    def steps(self) -> list[Step]:
-        """The filter run as the controls say."""
-        V_times_k = replace(self.noise, sigma_px=self.noise.sigma_px * self.factor.value**0.5)
-        process = leaving_out(*self.left_out) if self.left_out else window_slam.correlated
-        return list(window_slam.run(self.drive, V_times_k, process_frame=process))
 
     def _leave_out(self, change):
         shown = self.explorer.histories[0].snapshots[self.explorer.half_step]
@@ -99,7 +94,9 @@ class WhatIf(ipywidgets.VBox):
         self._run()
 
     def _run(self):
-        self.after = self.steps()
+        V_times_k = replace(self.noise, sigma_px=self.noise.sigma_px * self.factor.value**0.5)
+        process = leaving_out(*self.left_out) if self.left_out else window_slam.correlated
+        self.after = list(window_slam.run(self.drive, V_times_k, process_frame=process))
         self.explorer.update({AS_IT_WAS: self.before, WHAT_IF: self.after})
         self._say()
 
@@ -117,10 +114,11 @@ class WhatIf(ipywidgets.VBox):
         left_out = {NOTHING: "", LANDMARK: f"Without the looks at landmark {number} after its birth. ",
                     FRAME: f"Without frame {number}. "}[what]
         ranked = sorted(self.ratios().items(), key=lambda item: -abs(np.log(item[1])))
-        shown = ", ".join(f"{name} {ratio:.2f}" for name, ratio in ranked[:8] if abs(ratio - 1) > 0.005) or "none"
+        shown = ", ".join(f"{name}: {ratio:.2f}" for name, ratio in ranked[:8] if abs(ratio - 1) > 0.005) or "none"
         accepted = np.concatenate([step.innovation.accepted for step in self.after])
-        self.text.value = (f'<div role="status">{left_out}σ in this half-step, what if over as it was, largest changes '
-                           f"first: {shown}. The gate lets in {accepted.mean():.0%} of all measurements.</div>")
+        self.text.value = (f'<div role="status" style="line-height: 1.4">{left_out}σ in this half-step, what if over '
+                           f"as it was, largest changes first: {shown}. The gate lets in {accepted.mean():.0%} of all "
+                           "measurements.</div>")
 
     def __repr__(self):
         """Fixed, see `Explorer`."""
