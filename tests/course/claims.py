@@ -34,7 +34,7 @@ from vislam_edu.audit import audit
 from vislam_edu.course.ch01.panel import banana, plane_ellipse
 from vislam_edu.course.ch06.panel import filtered
 from vislam_edu.course.ch08.panel import camera_path
-from vislam_edu.course.ch09.panel import thinned
+from vislam_edu.course.ch09.panel import Thinned
 from vislam_edu.course.ch10 import broken_filters
 from vislam_edu.error_state import RightInvariant, RightPerturbation
 from vislam_edu.noise import Noise
@@ -743,7 +743,7 @@ def smoothing_does_not_make_honest(seed):
 
 @cache
 def with_one_in(seed, every):
-    return thinned(street(seed), NOISE, every, INVARIANT)
+    return Thinned(street(seed), NOISE, every, INVARIANT)
 
 
 @claim("09", "the claim grows about tenfold (9 to 13 times on eight streets like this one)", few=0)

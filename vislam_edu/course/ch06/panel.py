@@ -1,6 +1,7 @@
 """Chapter 06: the filter run again for other W, V and Sigma_0, and what its errors and innovations say to that."""
 
 from dataclasses import dataclass
+from functools import cache, partial
 
 import numpy as np
 from matplotlib.collections import PolyCollection
@@ -95,18 +96,14 @@ class TuningPicture(Picture):
         if not drive.has_truth:
             raise ValueError("the tuning picture holds errors against the truth, which this drive has not")
         self.drive, self.world_T_imu, self.noise = drive, np.asarray(world_T_imu), noise or Noise()
-        self._outcomes = {}
+        self._filtered = cache(partial(filtered, self.drive, self.world_T_imu, self.noise))
         super().__init__()
 
     def outcome(self, **state) -> FilterRun:
         """The run that the controls stand for, done once and kept. What is not given is as at the start."""
-        key = tuple((self.start | state).values())
-        if key not in self._outcomes:
-            self._outcomes[key] = filtered(self.drive, self.world_T_imu, self.noise, **self.start | state)
-        return self._outcomes[key]
+        return self._filtered(**self.start | state)
 
     def build(self):
-        """Map; below it two errors, the NEES and the NIS."""
         times = self.drive.times - self.drive.times[0]
         self._build_map()
         self.errors = [
@@ -188,7 +185,6 @@ class TuningPicture(Picture):
             self._background = None
 
     def caption(self, **state):
-        """The verdicts on this setting."""
         run = self.outcome(**state)
         low, high = metrics.chi2_band(6, probability=0.95)
         inside = 100 * np.mean((low <= run.nees) & (run.nees <= high))
@@ -198,7 +194,6 @@ class TuningPicture(Picture):
                 f"{two_digits(run.final_error)} m from the truth at the end.")
 
     def alt(self, **state):
-        """The picture in words."""
         run, s = self.outcome(**state), self.start | state
         which = "right-invariant" if s["invariant"] else "right-perturbation"
         birth = "as in the report" if s["report_birth"] else "correlated"

@@ -23,21 +23,17 @@ def argument_changes(names: list[str], arguments: tuple) -> Iterator[tuple[str, 
             yield words.format(f"`{name}`"), _only(i, change)
         for j in range(i):
             if _alike(value, arguments[j]):
-                yield f"with `{names[j]}` and `{name}` exchanged", _exchanged(i, j)
-                yield f"with `{names[j]}` used in place of `{name}`", _replaced(i, j)
-                yield f"with `{name}` used in place of `{names[j]}`", _replaced(j, i)
+                yield f"with `{names[j]}` and `{name}` exchanged", _replaced({i: j, j: i})
+                yield f"with `{names[j]}` used in place of `{name}`", _replaced({i: j})
+                yield f"with `{name}` used in place of `{names[j]}`", _replaced({j: i})
 
 
 def _only(i, change):
     return lambda arguments: (*arguments[:i], change(arguments[i]), *arguments[i + 1:])
 
 
-def _replaced(i, j):
-    return lambda arguments: (*arguments[:i], arguments[j], *arguments[i + 1:])
-
-
-def _exchanged(i, j):
-    return lambda arguments: tuple(arguments[{i: j, j: i}.get(k, k)] for k in range(len(arguments)))
+def _replaced(by):
+    return lambda arguments: tuple(arguments[by.get(k, k)] for k in range(len(arguments)))
 
 
 def _alike(a, b) -> bool:
