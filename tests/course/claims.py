@@ -32,7 +32,7 @@ from vislam_edu import (
 )
 from vislam_edu.audit import audit
 from vislam_edu.course.ch01.panel import banana, plane_ellipse
-from vislam_edu.course.ch06.panel import filtered
+from vislam_edu.course.ch06.panel import FilterRun
 from vislam_edu.course.ch08.panel import camera_path
 from vislam_edu.course.ch09.panel import Thinned
 from vislam_edu.course.ch10 import broken_filters
@@ -90,7 +90,7 @@ def short(seed, frames=60, visible=15):
 @cache
 def tuned(seed, **setting):
     """One setting of chapter 06."""
-    return filtered(*short(seed), NOISE, **setting)
+    return FilterRun(*short(seed), NOISE, **setting)
 
 
 @cache

@@ -85,7 +85,6 @@ class CrossNotPropagated(motion.ImuDriven):
 
 # --- new landmarks ------------------------------------------------------------------------------------------
 
-
 def born_uncorrelated(prior, ids, pixels, settings):
     """A frame whose new landmarks are as uncertain as their triangulation, and correlated with nothing."""
     known = window_slam.contains(prior.ids, ids)
@@ -108,7 +107,6 @@ def used_twice(prior, ids, pixels, settings):
 
 # --- the covariance after a frame ---------------------------------------------------------------------------
 
-
 def without_cross_covariance(prior, ids, pixels, settings):
     """A frame after which landmarks and pose are assumed independent: what many first versions do."""
     prior, posterior, innovation = window_slam.correlated(prior, ids, pixels, settings)
@@ -117,7 +115,6 @@ def without_cross_covariance(prior, ids, pixels, settings):
 
 
 # --- the filters --------------------------------------------------------------------------------------------
-
 
 @dataclass(frozen=True, eq=False)
 class Variant:

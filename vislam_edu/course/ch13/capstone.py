@@ -92,8 +92,7 @@ class Followed:
 def belief(state) -> Belief:
     """A state of `filter_run` as the package's belief, which the explorer draws."""
     T, landmarks, ids, P = state
-    return Belief(np.array(T, float), np.array(landmarks, float).reshape(-1, 3), np.array(ids, int),
-                  np.array(P, float))
+    return Belief(np.array(T, float), np.array(landmarks, float).reshape(-1, 3), np.array(ids, int), np.array(P, float))
 
 
 def steps(run: Callable, drive: Drive, noise: Noise = NOISE) -> Iterator[Step]:

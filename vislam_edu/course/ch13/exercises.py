@@ -478,7 +478,7 @@ class InStage(Mistake):
 
     @functools.cached_property
     def function(self) -> Callable:
-        return assembled(**{self.stage: edited(self.base, *self.edits) if self.edits else self.base})
+        return assembled(**{self.stage: edited(self.base, *self.edits)})
 
 
 filter_run.inherited.extend(

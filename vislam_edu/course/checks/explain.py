@@ -203,7 +203,7 @@ class Search:
     def _two(self) -> None:
         """Two mistakes at once, of which one at least is a usual one."""
         pieces = self.exercise.mistakes
-        for one, other in itertools.combinations([piece for piece in pieces if piece.edits], 2):
+        for one, other in itertools.combinations(pieces, 2):
             with contextlib.suppress(ValueError, SyntaxError):  # both edits may concern the same text
                 both = Mistake(f"{one.name}, and: {other.name}", "", one.base, one.edits + other.edits)
                 self.offer(f"with these two mistakes: {both.name}", both.function, both.lines)
@@ -211,8 +211,8 @@ class Search:
             for further, change in transforms.argument_changes(self.exercise.arguments, self.cases[self.probe][1]):
                 self.offer(f"{_piece(piece).words}, and {further}", _after(piece.function, change), _piece(piece).lines)
         for piece in pieces:
-            source = wrong_source(piece.base, *piece.edits) if piece.edits else ""
-            for mutant in mutants.of_source(source, piece.base, self.exercise.statement) if source else ():
+            source = wrong_source(piece.base, *piece.edits)
+            for mutant in mutants.of_source(source, piece.base, self.exercise.statement):
                 if mutant.kind <= _COMMON:
                     self.offer(f"{_piece(piece).words}, and {mutant.words}", mutant.function, _both(piece, mutant))
         common = [mutant for mutant in mutants.of_exercise(self.exercise) if mutant.kind < _COMMON]

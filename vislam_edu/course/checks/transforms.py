@@ -15,7 +15,6 @@ Change = tuple[str, Callable]
 
 # --- arguments --------------------------------------------------------------------------------------------
 
-
 def argument_changes(names: list[str], arguments: tuple) -> Iterator[tuple[str, Callable]]:
     """(words, function of all arguments that gives all arguments), for arguments that look like these."""
     for i, (name, value) in enumerate(zip(names, arguments)):
@@ -103,9 +102,7 @@ _NUMBER: list[Change] = [
     ("with {} converted from degrees to radians", np.radians), ("with 1 - {0} in place of {0}", lambda x: 1 - x),
     ("with 2 * {0} - 1 in place of {0}", lambda x: 2 * x - 1),
 ]
-_MASK: list[Change] = [
-    ("with {} ignored (all True)", np.ones_like),
-    ("with {} turned round", np.logical_not)]
+_MASK: list[Change] = [("with {} ignored (all True)", np.ones_like), ("with {} turned round", np.logical_not)]
 _IDS: list[Change] = [
     ("with {} ignored (0, 1, 2, ... in its place)", lambda x: np.arange(len(x))), ("with {} sorted", np.sort)]
 _CALIBRATION: list[Change] = [
@@ -157,7 +154,6 @@ _COVARIANCE: list[Change] = [
 ]
 
 # --- results ----------------------------------------------------------------------------------------------
-
 
 def result_changes(value: np.ndarray) -> Iterator[Change]:
     """(words, function of one result), for a result of this shape."""
