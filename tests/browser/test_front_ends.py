@@ -81,11 +81,11 @@ def keys_step_the_explorer(page):
     explorer.locator("input[type=range]").focus()
     for _ in range(3):
         page.keyboard.press("ArrowRight")
-    assert explorer.evaluate(STATE)["i"] == 13
+    assert explorer.evaluate(STATE)["i"] == 16
     explorer.get_by_role("img", name="map").first.focus()
     for _ in range(2):
         page.keyboard.press("ArrowUp")
-    assert explorer.evaluate(STATE)["i"] == 15
+    assert explorer.evaluate(STATE)["i"] == 18
 
 
 def the_kernel_sends_it_another_run(page):
@@ -96,7 +96,7 @@ def the_kernel_sends_it_another_run(page):
     page.keyboard.press("End")
     wait_until(page, lambda: explorer.evaluate(STATE)["time"]["high"][1] > 1.5 * before[1], "no other run came")
     after = explorer.evaluate(STATE)
-    assert (after["i"], after["time"]["high"][0]) == (15, before[0])
+    assert (after["i"], after["time"]["high"][0]) == (18, before[0])
 
 
 def a_panel_draws_again(page):

@@ -137,11 +137,11 @@ def test_what_colab_is_sent_names_the_manager_that_loads_anywidget(make, monkeyp
 
 
 def test_a_control_tells_the_browser_its_label_kind_and_range():
-    assert Control(CONTROLS["height"]).spec == {"label": "height, m", "kind": "number", "low": 0.0, "high": 4.0,
-                                                "step": 0.5}
-    assert Control(CONTROLS["filled"]).spec == {"label": "filled", "kind": "switch"}
-    assert Control(Decades("sigma", 1.0, 0.1, 10.0, 0.1)).spec["kind"] == "log"
-    assert Control(CHOICE).spec == {"label": "mistake", "kind": "choice", "names": ["sign", "order"]}
+    assert Control(CONTROLS["height"]).spec == {"label": "height, m", "value": 1.0, "kind": "number", "low": 0.0,
+                                                "high": 4.0, "step": 0.5}
+    assert Control(CONTROLS["filled"]).spec == {"label": "filled", "value": False, "kind": "switch"}
+    assert Control(Decades("sigma", 1.0, 0.1, 10.0, 0.1)).spec["kind"] == "decades"
+    assert Control(CHOICE).spec == {"label": "mistake", "value": "sign", "kind": "choice", "names": ("sign", "order")}
 
 
 def test_a_control_keeps_to_its_range_and_to_whole_numbers():

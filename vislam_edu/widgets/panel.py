@@ -1,4 +1,4 @@
-"""A `Panel`: a picture with a slider, a switch or a list for each of its controls.
+"""A `Panel`: a picture with a slider, a switch, buttons or a list for each of its controls.
 
 The picture is a PNG, the controls are native inputs (`control.js`); the widget runs without a browser, so that a test
 or a cell may say `panel.controls["depth"].value = 7` and look at the picture. Where there is no kernel (a page on the
@@ -6,8 +6,8 @@ web, a notebook that has not been run) the last picture stands in its place.
 """
 
 import html
+from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
 import anywidget
 import ipywidgets
@@ -50,13 +50,7 @@ class Control(anywidget.AnyWidget):
         if not isinstance(control, Number | Switch | Choice):
             raise TypeError(f"a control is a Number, a Switch or a Choice, got {control!r}")
         self.control = control
-        spec: dict[str, Any] = {"label": control.label, "kind": "switch"}
-        if isinstance(control, Number):
-            kind = "log" if isinstance(control, Decades) else "number"
-            spec |= {"kind": kind, "low": control.low, "high": control.high, "step": control.step}
-        if isinstance(control, Choice):
-            spec |= {"kind": "choice", "names": list(control.names)}
-        super().__init__(spec=spec, value=control.value)
+        super().__init__(spec=asdict(control) | {"kind": type(control).__name__.lower()}, value=control.value)
 
     @traitlets.validate("value")
     def _in_range(self, proposal):
@@ -90,7 +84,7 @@ class Panel(ipywidgets.VBox):
         width = f"{int(DPI * picture.size[0])}px"
         self.image = _Image(layout=ipywidgets.Layout(width=width, max_width="100%"))
         self.text = ipywidgets.HTML(layout=ipywidgets.Layout(width=width, max_width="100%"))
-        row = ipywidgets.Layout(flex_flow="row wrap", width=width, max_width="100%")  # in as many lines as it needs
+        row = ipywidgets.Layout(flex_flow="row wrap", align_items="center", width=width, max_width="100%")
         for control in self.controls.values():
             control.observe(self._show, names="value")
         super().__init__([ipywidgets.Box(list(self.controls.values()), layout=row), self.image, self.text],
