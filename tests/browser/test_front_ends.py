@@ -16,8 +16,9 @@ pytestmark = NO_CHROMIUM
 IMPORTS = """\
 from vislam_edu import simulate
 from vislam_edu.noise import Noise
-from vislam_edu.widgets import Panel, WhatIf
+from vislam_edu.widgets import Panel
 from vislam_edu.course.ch02.panel import StereoDepthPicture
+from vislam_edu.course.ch05.panel import WhatIf
 """
 CELLS = [IMPORTS, "WhatIf(simulate.first_steps().slice(0, 12), Noise(), start=5)", "Panel(StereoDepthPicture())"]
 
