@@ -1,6 +1,6 @@
 """How good is a trajectory, and does the filter know how good it is?
 
-Accuracy holds an estimate against the truth: `ate`, `rpe`, `kitti_drift`. Consistency holds an error against
+Accuracy holds an estimate against the truth: `ate`, `kitti_drift`. Consistency holds an error against
 the covariance that the filter itself claimed: `nees`, `pose_nees`, `average_nis`, and `chi2_band` for how far
 they may stray by chance.
 
@@ -84,29 +84,7 @@ def ate(true: np.ndarray, estimated: np.ndarray) -> float:
     Source: Sturm et al., A benchmark for the evaluation of RGB-D SLAM systems, IROS 2012, section IV-B; Zhang,
     Scaramuzza, A tutorial on quantitative trajectory evaluation, IROS 2018 (SE(3) alignment, all frames).
     """
-    return _rms(position_errors(true, align(true, estimated) @ estimated))
-
-
-def rpe(true: np.ndarray, estimated: np.ndarray, step: float = 1) -> tuple[float, float]:
-    """Relative pose error: RMS error of the motion over `step` frames, whatever went wrong before.
-
-    E_i = (true_i^-1 true_{i+step})^-1 (estimated_i^-1 estimated_{i+step}), every i for which both ends have truth.
-
-    true, estimated : (T, 4, 4). step : frames.
-    Returns (m, rad): RMS of the length of E_i's translation and of its rotation angle.
-    Raises ValueError when no two frames that far apart have truth.
-    Source: Sturm et al., IROS 2012, section IV-A.
-    """
-    _with_truth(true, estimated)
-    if not step >= 1:
-        raise ValueError(f"step must be at least 1 frame, got {step!r}")
-    true, estimated = np.asarray(true, dtype=float), np.asarray(estimated, dtype=float)
-    both = np.isfinite(true[:-step]).all(axis=(1, 2)) & np.isfinite(true[step:]).all(axis=(1, 2))
-    if not both.any():
-        raise ValueError(f"no two frames that are {step} apart have a true pose")
-    first, last = np.flatnonzero(both), np.flatnonzero(both) + step
-    E = _motion_error(true, estimated, first, last)
-    return _rms(np.linalg.norm(E[:, :3, 3], axis=-1)), _rms(_angle(E))
+    return float(np.sqrt(np.mean(np.square(position_errors(true, align(true, estimated) @ estimated)))))
 
 
 def kitti_drift(true: np.ndarray, estimated: np.ndarray, lengths: Sequence[float] = KITTI_LENGTHS,
@@ -147,10 +125,6 @@ def _motion_error(true: np.ndarray, estimated: np.ndarray, first: np.ndarray, la
 def _angle(T: np.ndarray) -> np.ndarray:
     """(n,) rotation angle, rad."""
     return np.linalg.norm(se3.so3_log(T[:, :3, :3]), axis=-1)
-
-
-def _rms(values) -> float:
-    return float(np.sqrt(np.mean(np.square(values))))
 
 
 # --- consistency --------------------------------------------------------------------------------------------

@@ -205,14 +205,8 @@ def hat(xi: ArrayLike) -> np.ndarray:
     return matrix
 
 
-def vee(matrix: ArrayLike) -> np.ndarray:
-    """Inverse of `hat`. matrix (..., 4, 4); returns the twist (..., 6), `[v, omega]`."""
-    matrix = checked(matrix, (4, 4), "matrix")
-    return np.concatenate([matrix[..., :3, 3], so3_vee(matrix[..., :3, :3])], axis=-1)
-
-
 def curly_hat(xi: ArrayLike) -> np.ndarray:
-    """Adjoint of the Lie algebra: `curly_hat(a) @ b == vee(hat(a) @ hat(b) - hat(b) @ hat(a))`.
+    """Adjoint of the Lie algebra: `hat(curly_hat(a) @ b) == hat(a) @ hat(b) - hat(b) @ hat(a)`.
 
     `[[omega^, v^], [0, omega^]]`. xi (..., 6); returns (..., 6, 6). Source: report section 3.3.1.
     """

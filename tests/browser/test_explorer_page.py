@@ -5,7 +5,7 @@ import re
 
 import numpy as np
 import pytest
-from browser import NO_CHROMIUM, SCREENSHOTS, STATE, listen, wait_until
+from browser import NO_CHROMIUM, SCREENSHOTS, STATE, listen, violations, wait_until
 
 from vislam_edu import mapping, odometry, simulate, window_slam
 from vislam_edu.error_state import RightInvariant
@@ -480,3 +480,8 @@ def test_in_a_window_of_800_px_nothing_is_cut_off(opened, name):
 
 def test_reduced_motion_begins_slowly(opened):
     assert opened("joint", reduced_motion="reduce").get_by_label("speed").input_value() == "1"
+
+
+@pytest.mark.parametrize("colours", ["light", "dark"])
+def test_axe_finds_no_violation(opened, colours):
+    assert violations(opened("two", color_scheme=colours)) == []

@@ -10,17 +10,9 @@ import importlib.util
 import nbformat
 import pytest
 from browser import NO_CHROMIUM, POLLING, SCREENSHOTS, SECOND, STATE, jupyter, wait_until
-from test_browser import KERNEL_READY, PICTURE, run_all
+from test_browser import KERNEL_READY, PICTURE, run_all, widgets
 
 pytestmark = NO_CHROMIUM
-IMPORTS = """\
-from vislam_edu import simulate
-from vislam_edu.noise import Noise
-from vislam_edu.widgets import Panel
-from vislam_edu.course.ch02.panel import StereoDepthPicture
-from vislam_edu.course.ch05.panel import WhatIf
-"""
-CELLS = [IMPORTS, "WhatIf(simulate.first_steps().slice(0, 12), Noise(), start=5)", "Panel(StereoDepthPicture())"]
 
 
 def run_notebook_7(page):
@@ -49,10 +41,8 @@ FRONT_ENDS = {  # module: where it shows a notebook, and how all of it is run
 def server(tmp_path_factory):
     """Address of a Jupyter server, which loads whatever front ends are installed."""
     home = tmp_path_factory.mktemp("front_ends")
-    notebook = nbformat.v4.new_notebook(cells=[*map(nbformat.v4.new_code_cell, CELLS)], metadata={
-        "kernelspec": {"name": "python3", "display_name": "Python 3", "language": "python"}})
     (home / "notebooks").mkdir()
-    nbformat.write(notebook, home / "notebooks" / "a.ipynb")
+    nbformat.write(widgets(), home / "notebooks" / "a.ipynb")
     with jupyter("jupyter_server", home, "--JupyterNotebookApp.expose_app_in_browser=True") as address:
         yield address
 

@@ -34,22 +34,8 @@ def evo_ape(true, estimated):
     return ape.get_statistic(evo_metrics.StatisticsType.rmse)
 
 
-def evo_rpe(true, estimated, relation, step):
-    rpe = evo_metrics.RPE(relation, delta=step, delta_unit=evo_metrics.Unit.frames, all_pairs=True)
-    rpe.process_data((PosePath3D(poses_se3=list(true)), PosePath3D(poses_se3=list(estimated))))
-    return rpe.get_statistic(evo_metrics.StatisticsType.rmse)
-
-
 def test_ate_agrees_with_evo(trajectories):
     assert metrics.ate(*trajectories) == pytest.approx(evo_ape(*trajectories), abs=1e-9)
-
-
-@pytest.mark.parametrize("step", [1, 10])
-def test_rpe_agrees_with_evo(trajectories, step):
-    translation, rotation = metrics.rpe(*trajectories, step=step)
-    relation = evo_metrics.PoseRelation
-    assert translation == pytest.approx(evo_rpe(*trajectories, relation.translation_part, step), abs=1e-9)
-    assert rotation == pytest.approx(evo_rpe(*trajectories, relation.rotation_angle_rad, step), abs=1e-9)
 
 
 def test_align_undoes_a_rigid_motion_and_is_never_a_reflection(trajectories):
@@ -110,13 +96,9 @@ def test_frames_without_truth_are_left_out(trajectories):
     known = np.isfinite(gap[:, 0, 0])
     assert metrics.ate(gap, estimated) == metrics.ate(true[known], estimated[known])
     assert len(metrics.position_errors(gap, estimated)) == known.sum()
-    # A motion across the gap is not a motion of one step: the steps on either side of it are.
-    E = [metrics.rpe(true[part], estimated[part]) for part in (slice(50, 200), slice(220, 400))]
-    steps = np.array([149, 179])
-    assert metrics.rpe(gap, estimated) == pytest.approx(np.sqrt(steps @ np.square(E) / steps.sum()))
 
 
-@pytest.mark.parametrize("metric", [metrics.ate, metrics.rpe, metrics.kitti_drift, metrics.align])
+@pytest.mark.parametrize("metric", [metrics.ate, metrics.kitti_drift, metrics.align])
 def test_bad_trajectories_are_named(trajectories, metric):
     true, estimated = trajectories
     with pytest.raises(ValueError, match="400 true poses but 399 estimated"):
@@ -129,13 +111,6 @@ def test_bad_trajectories_are_named(trajectories, metric):
     broken[7, 0, 3] = np.nan
     with pytest.raises(ValueError, match="frame 7 is not finite"):
         metric(true, broken)
-
-
-def test_rpe_rejects_a_step_that_is_none(trajectories):
-    with pytest.raises(ValueError, match="at least 1 frame"):
-        metrics.rpe(*trajectories, step=0)
-    with pytest.raises(ValueError, match="400 apart"):
-        metrics.rpe(*trajectories, step=400)
 
 
 @pytest.mark.parametrize("error_state", [RightPerturbation(), RightInvariant()], ids=lambda e: e.name)

@@ -59,7 +59,9 @@ def picture_problems(output):
     for mime in PICTURES & data.keys():
         if not output.metadata.get(mime, {}).get("alt"):
             yield "a picture without alternative text"
-    if data.get("text/plain", "").startswith("<Figure") and (width := png_width(data["image/png"])) > GITHUB:
+    if data.get("text/plain", "").startswith("<Figure") and "image/png" not in data:
+        yield "a figure without its picture: the first code cell calls style.use()"
+    elif data.get("text/plain", "").startswith("<Figure") and (width := png_width(data["image/png"])) > GITHUB:
         yield f"a figure {width} px wide, which GitHub shrinks to {GITHUB} px, and its lettering with it"
 
 
@@ -86,6 +88,15 @@ def test_stored_notebook(path):
     assert path.stat().st_size < LARGEST
 
 
+@pytest.mark.parametrize(("page", "entry"), [("README.md", r"\n\| \[(\d\d_\w+)\]\(notebooks/"),
+                                             ("docs/index.md", r"\nnotebooks/(\w+)"),
+                                             ("docs/instructor.md", r"\n\| (\d\d) ")])
+def test_a_page_lists_every_notebook_in_order(page, entry):
+    text = (ROOT / page).read_text(encoding="utf-8").partition("\n## Eight weeks")[0]
+    width = 2 if "instructor" in page else None  # its table of hours begins with the number
+    assert re.findall(entry, text) == [path.stem[:width] for path in NOTEBOOKS]
+
+
 LINK_TO_A_FILE = re.compile(r"\]\((?!https?:|#)([^)#]+)[^)]*\)")
 FETCHED = re.compile(r"!\[[^\]]*\]\(\s*https?:|\bsrc\s*=\s*[\"']?https?:")  # by whoever opens the page
 
@@ -100,7 +111,16 @@ def test_a_link_leads_to_a_file_and_nothing_is_fetched(path):
     assert FETCHED.findall(text) == []
 
 
-QUOTE = re.compile(r"\[\d\d\]\(\.\./notebooks/(\w+\.ipynb)\): `([^`]+)`")
+NOTE = re.compile(r"^\*(\[Report\]\(00_start_here\.ipynb\)|Report), [^*]+:\*", re.MULTILINE)
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS[1:], ids=lambda path: path.stem)
+def test_the_first_note_on_the_report_of_a_chapter_says_what_that_is(path):
+    notes = NOTE.findall("\n".join(cell.source for cell in nbformat.read(path, as_version=4).cells))
+    assert ["[" in note for note in notes] == [True] * bool(notes) + [False] * (len(notes) - 1)
+
+
+QUOTE = re.compile(r"\[\d\db?\]\(\.\./notebooks/(\w+\.ipynb)\): `([^`]+)`")
 QUOTES = QUOTE.findall((ROOT / "docs/instructor.md").read_text(encoding="utf-8"))
 
 
@@ -171,6 +191,7 @@ LINK = v4.new_output("display_data", data={"text/html": "<a href='/Users/ann'>"}
 WIDE = base64.b64encode(b"\x89PNG\r\n\x1a\n\x00\x00\x00\rIHDR" + (831).to_bytes(4) + bytes(8)).decode()
 FIGURE = v4.new_output("execute_result", data={"text/plain": "<Figure size", "image/png": WIDE},
                        metadata={"image/png": {"alt": "a line"}})
+BARE = v4.new_output("execute_result", data={"text/plain": "<Figure size"})
 SPOILED = {
     "never run": (spoil(execution_count=None), "never run"),
     "semicolon": (spoil(source="ax.plot(x);"), "semicolon"),
@@ -179,6 +200,7 @@ SPOILED = {
     "widget": (spoil(outputs=[v4.new_output("display_data", data={WIDGET: {}})]), "without a still"),
     "picture": (spoil(outputs=[v4.new_output("display_data", data=PNG)]), "without alternative text"),
     "wide figure": (spoil(outputs=[FIGURE]), "831 px wide"),
+    "no picture": (spoil(outputs=[BARE]), "style.use()"),
     "long line": (printing("short\n" + 101 * "x"), "a printed line of 101"),
     "path in stdout": (printing("saved /home/ann/x.png"), "/home/"),
     "path on Windows": (printing("saved C:\\Users\\ann"), "C:\\Users"),

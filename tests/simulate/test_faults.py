@@ -198,10 +198,3 @@ def test_lens_errors_are_smooth_shifts_of_the_size_asked_for(perfect):
     np.testing.assert_allclose(shift[:, :2], 3 * np.stack([x, y], -1), atol=1e-9)
     with pytest.raises(ValueError, match="knows no fisheye"):
         faults.lens_error(perfect, fisheye=1.0)
-
-
-def test_a_wrong_baseline_scales_every_depth(perfect):
-    wrong = faults.baseline_error(perfect, 1.01).camera
-    points, wrong_points = (camera.triangulate(perfect.pixels)[0] for camera in (perfect.camera, wrong))
-    np.testing.assert_allclose(wrong_points, 1.01 * points)
-

@@ -8,6 +8,7 @@ One module per chapter holds its exercises: statement, inputs, hints, and the wr
 """
 
 from importlib import import_module
+from pathlib import Path
 
 from .checks.check import check, hint, solution
 from .checks.exercise import EXERCISES
@@ -15,11 +16,8 @@ from .checks.surroundings import remember
 
 __all__ = ["EXERCISES", "check", "hint", "solution"]
 
-CHAPTERS = ("ch01", "ch02", "ch03", "ch04", "ch05", "ch06", "ch07", "ch08", "ch09", "ch10", "ch11", "ch12", "ch13",
-            "ch15", "ch16")
-
-for chapter in CHAPTERS:
-    import_module(f".{chapter}.exercises", __package__)  # registers its exercises
+for path in sorted(Path(__file__).parent.glob("ch*/exercises.py")):
+    import_module(f".{path.parent.name}.exercises", __package__)  # registers its exercises
 for exercise in sorted(EXERCISES.values(), key=lambda each: each.chapter):  # whichever module was imported first
     EXERCISES[exercise.name] = EXERCISES.pop(exercise.name)
 remember()  # what numpy and the package are before any answer has run

@@ -3,8 +3,6 @@
 Each function returns a new `Drive` and says in its `history` what was planted. The ground truth stays what it was.
 """
 
-from dataclasses import replace
-
 import numpy as np
 
 
@@ -89,12 +87,6 @@ def lens_shift(drive, **px):
     if px:
         raise ValueError(f"lens_error knows no {', '.join(px)}; it knows {', '.join(LENS_TERMS)}")
     return shift
-
-
-def baseline_error(drive, factor):
-    """The calibration's baseline is `factor` times the true one: everything looks that much larger."""
-    camera = replace(drive.camera, baseline=factor * drive.camera.baseline)
-    return _planted(drive, f"baseline {factor:.4f} times the true one", camera=camera)
 
 
 def copy_frames(drive, frames=None):
