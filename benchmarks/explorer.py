@@ -1,6 +1,6 @@
 """From key to picture: python benchmarks/explorer.py [--page-only]
 
-The explorer of chapter 05 (two runs of 120 half-steps) in a plain page and in JupyterLab, in real Chromium:
+The explorer of chapter 05 (two runs of 130 half-steps) in a plain page and in JupyterLab, in real Chromium:
 milliseconds from a key press to the frame that shows it, median and worst of 50 presses, and bytes sent per explorer.
 Also the milliseconds that the kernel needs for one picture of each panel. Prints, and writes
 benchmarks/results/explorer.json. Needs playwright and Chromium (CHROMIUM names it if it is not found). Run it on a
@@ -38,13 +38,13 @@ RESULTS = Path(__file__).with_name("results") / "explorer.json"
 PRESSES = 50
 CELL = """from vislam_edu import simulate, window_slam
 from vislam_edu.noise import Noise
-from vislam_edu.studies import broken_filters
+from vislam_edu.course.ch10 import broken_filters
 from vislam_edu.widgets import Explorer
 
 drive, noise = simulate.first_steps(), Noise()
 blind = broken_filters.without_cross_covariance
 runs = {"joint": window_slam.run(drive, noise), "blind": window_slam.run(drive, noise, process_frame=blind)}
-Explorer(runs, drive, show=0, start=20)"""
+Explorer(runs, drive, show=0, start=10)"""
 # A key event carries the time at which the browser got it. The first task after the next frame's callbacks runs when
 # that frame has been painted.
 LISTEN = """() => { window.times = []; addEventListener('keydown', event => requestAnimationFrame(() => {
@@ -128,7 +128,7 @@ def main():
     drive, noise = simulate.first_steps(), Noise()
     blind = broken_filters.without_cross_covariance
     explorer = Explorer({"joint": window_slam.run(drive, noise),
-                         "blind": window_slam.run(drive, noise, process_frame=blind)}, drive, show=0, start=20)
+                         "blind": window_slam.run(drive, noise, process_frame=blind)}, drive, show=0, start=10)
     sent = json.dumps(explorer.header).encode() + explorer.data
     figures = {"explorer_bytes": len(sent), "explorer_gzip_bytes": len(gzip.compress(sent, mtime=0))}
     executable = os.environ.get("CHROMIUM") or shutil.which("chromium") or shutil.which("google-chrome")

@@ -25,12 +25,12 @@ import numpy as np
 from . import se3
 from .stereo import StereoCamera
 
+if TYPE_CHECKING:
+    from .inertial import ImuSamples
+
 
 class DriveError(ValueError):
     """A recording that cannot be used; the message names the field, where in it, and what is wrong."""
-
-if TYPE_CHECKING:
-    from .inertial import ImuSamples
 
 
 @dataclass(frozen=True, eq=False)

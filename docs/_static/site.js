@@ -9,3 +9,15 @@ for (const frame of document.querySelectorAll("iframe")) {
   frame.addEventListener("load", follow);
   follow();
 }
+
+// Who has no mouse scrolls what is wider than the page once the keyboard can reach it.
+const reachable = new ResizeObserver((entries) => {
+  for (const { target } of entries) {
+    if (target.scrollWidth > target.clientWidth) target.tabIndex = 0;
+    else target.removeAttribute("tabindex");
+  }
+});
+for (const wide of document.querySelectorAll("pre, .table-wrapper")) reachable.observe(wide);
+
+// The theme's headings of the list of chapters have no level.
+for (const heading of document.querySelectorAll(".caption[role=heading]")) heading.ariaLevel = 2;

@@ -82,6 +82,14 @@ def _wait_for(address, server, log, seconds=60):
     pytest.fail(f"Jupyter did not start:\n{log.read_text()}")
 
 
+def violations(page, within="html"):
+    """What axe finds in a part of a page against WCAG 2.1, levels A and AA: rule, what it says, first element."""
+    axe = pytest.importorskip("axe_playwright_python.sync_playwright", reason="axe-playwright-python is not installed")
+    found = axe.Axe().run(page, context={"include": [within], "exclude": ["mjx-container"]}, options={
+        "runOnly": ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa"], "resultTypes": ["violations"]})
+    return [(rule["id"], rule["help"], rule["nodes"][0]["html"]) for rule in found.response["violations"]]
+
+
 def wait_until(page, condition, message, seconds=15):
     deadline = time.monotonic() + seconds
     while not condition():

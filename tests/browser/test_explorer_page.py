@@ -5,7 +5,7 @@ import re
 
 import numpy as np
 import pytest
-from browser import NO_CHROMIUM, SCREENSHOTS, STATE, listen, wait_until
+from browser import NO_CHROMIUM, SCREENSHOTS, STATE, listen, violations, wait_until
 
 from vislam_edu import mapping, odometry, simulate, window_slam
 from vislam_edu.error_state import RightInvariant
@@ -15,7 +15,7 @@ from vislam_edu.widgets import Explorer
 
 pytestmark = NO_CHROMIUM
 NOISE = Noise()
-I = 43  # the half-step that the pages begin with: frame 21 updated
+I = 48  # the half-step that the pages begin with: the births of frame 21, after those of four frames before
 
 
 @pytest.fixture(scope="module")
@@ -33,10 +33,10 @@ def explorers(drive, steps):
     invariant = list(window_slam.run(drive, NOISE, RightInvariant()))
     T = drive.true_world_T_imu
     return {
-        "joint": Explorer(steps, drive, name="joint", start=I),
-        "two": Explorer({"right": steps, "invariant": invariant}, drive, {"invariant": RightInvariant()}, start=I),
-        "mapping": Explorer(mapping.run(drive, NOISE, T), drive, world_T_imu=T, name="mapping", start=I),
-        "odometry": Explorer(odometry.localize(drive, NOISE, drive.true_landmarks), drive, name="odometry", start=I),
+        "joint": Explorer(steps, drive, name="joint", start=21),
+        "two": Explorer({"right": steps, "invariant": invariant}, drive, {"invariant": RightInvariant()}, start=21),
+        "mapping": Explorer(mapping.run(drive, NOISE, T), drive, world_T_imu=T, name="mapping", start=21),
+        "odometry": Explorer(odometry.localize(drive, NOISE, drive.true_landmarks), drive, name="odometry", start=21),
         "pairs": Explorer.from_beliefs(["before", "1 pair fused"], [s.posterior for s in steps[20:22]], drive,
                                        unit="pair fused", frames=[20, 21]),
     }
@@ -108,9 +108,33 @@ def test_map_shows_the_landmarks_and_ellipses_of_the_belief(opened, steps):
         np.testing.assert_allclose(one["m"], landmark[:2], rtol=1e-5)
         np.testing.assert_allclose(one["axes"], np.sqrt(np.linalg.eigvalsh(P[:2, :2])[::-1]), rtol=1e-3)
     np.testing.assert_allclose(shown["pose"][:2], belief.world_T_imu[:2, 3], rtol=1e-5)
-    assert shown["before"] == len(steps[21].prior.ids)  # the faint outlines
+    assert shown["before"] == len(belief.ids) - len(steps[21].born)  # the faint outlines
     inset = shown["inset"]
     np.testing.assert_allclose(inset["sigmas"][2], np.sqrt(belief.pose_covariance[5, 5]), rtol=1e-4)
+    np.testing.assert_allclose(inset["before"], inset["sigmas"], rtol=1e-5)  # a birth leaves the pose as it is
+
+
+def test_a_birth_is_a_step_of_its_own(opened, steps):
+    """Predicted, updated, born: new landmarks come in the third, which changes nothing else; then the next frame."""
+    page = opened("joint")
+    page.get_by_label("half-step").focus()
+    press(page, "ArrowLeft", "ArrowLeft")
+    old, new, seen = steps[21].prior.ids.tolist(), steps[21].born.tolist(), []
+    for label in ("frame 21, 2.1 s, predicted", "frame 21, 2.1 s, updated", "frame 21, 2.1 s, born"):
+        shown = state(page)
+        assert shown["label"] == page.locator(".vx-readout").text_content() == label
+        seen.append({one["id"]: one["axes"] for one in shown["map"][0]["landmarks"]})
+        words = page.get_by_role("img", name="map").first.get_attribute("aria-label")
+        assert words.endswith(f"new: {', '.join(map(str, new))}") == label.endswith("born")
+        press(page, "ArrowRight")
+    assert state(page)["label"] == "frame 22, 2.2 s, predicted"
+    predicted, updated, born = seen
+    assert list(predicted) == list(updated) == old
+    assert set(born) == {*old, *new}
+    assert all(np.prod(updated[j]) < np.prod(predicted[j]) for j in old)
+    assert {j: born[j] for j in old} == updated
+    press(page, "ArrowLeft", "ArrowLeft")
+    inset = state(page)["map"][0]["inset"]
     np.testing.assert_allclose(inset["before"][:2], np.sqrt(np.diag(steps[21].prior.pose_covariance)[:2]), rtol=1e-4)
 
 
@@ -155,12 +179,14 @@ def test_matrix_has_three_readings(opened, steps, reading):
         np.testing.assert_allclose(values / scale, P / scale, atol=3e-5)
     else:
         kept = np.concatenate([np.repeat(np.isin(ids, before.ids), 3), np.ones(6, bool)])
-        change = P[np.ix_(kept, kept)] - before.covariance
-        old = np.sqrt(np.diag(before.covariance))
-        np.testing.assert_allclose(values[np.ix_(kept, kept)] / np.outer(old, old), change / np.outer(old, old),
-                                   atol=6e-5)
         assert np.isnan(values[~kept]).all()
         assert not kept.all()
+        assert not values[np.ix_(kept, kept)].any()  # the birth
+        press(page, "Tab", "ArrowLeft")  # the update
+        change = P[np.ix_(kept, kept)] - before.covariance
+        old = np.sqrt(np.diag(before.covariance))
+        values = np.reshape(state(page)["matrix"][0]["values"], change.shape)
+        np.testing.assert_allclose(values / np.outer(old, old), change / np.outer(old, old), atol=6e-5)
 
 
 @pytest.mark.parametrize("reading", ["correlation", "covariance"])
@@ -176,14 +202,15 @@ def test_blocks_of_the_chosen_landmark_are_numbers_of_the_matrix(opened, steps, 
     np.testing.assert_allclose(np.array(shown["values"]) / scale, expected[at:at + 3, columns] / scale, atol=4e-5)
 
 
-def test_landmark_through_time_has_its_birth_updates_and_retirement(opened, steps):
+def test_landmark_through_time_has_its_birth_updates_and_retirement(opened, explorers, steps):
     page = opened("joint")
     gone = int(steps[10].retired[0])
     select(page, "landmark", gone)
     shown = state(page)["landmark"]
     born = next(k for k, step in enumerate(steps) if gone in step.born)
-    expected = [[2 * born + 1, "born"], [20, "retired"]]
-    expected += [[2 * step.k + 1, "update"] for step in steps
+    at = explorers["joint"].histories[0].at
+    expected = [[at(born), "born"], [at(10, 0), "retired"]]
+    expected += [[at(step.k, 1), "update"] for step in steps
                  if gone in step.innovation.ids[step.innovation.accepted]]
     kept = [event for event in shown["events"] if event[1] != "kept out"]
     assert sorted(kept) == sorted(expected)
@@ -219,9 +246,9 @@ def test_image_shows_the_innovation_of_the_chosen_landmark(opened, explorers):
     shown = state(opened("mapping"))["image"][0]
     sight = explorers["mapping"].histories[0].snapshots[I].sight
     assert [one["id"] for one in shown["measured"]] == sight.ids.tolist()
-    np.testing.assert_allclose([one["uv"] for one in shown["measured"]], sight.measured, rtol=1e-5)
+    np.testing.assert_allclose([one["uv"] for one in shown["measured"]], sight.measured[:, :2], rtol=1e-5)
     at = sight.ids.tolist().index(explorers["mapping"].header["landmark"])
-    np.testing.assert_allclose(shown["chosen"]["innovation"], sight.measured[at] - sight.predicted[at], atol=1e-3)
+    np.testing.assert_allclose(shown["chosen"]["innovation"], (sight.measured - sight.predicted)[at, :2], atol=1e-3)
     np.testing.assert_allclose(shown["chosen"]["S"], sight.covariance[at][[0, 0, 1], [0, 1, 1]], rtol=1e-5)
     assert shown["chosen"]["nis"] == pytest.approx(sight.nis[at], rel=1e-5)
 
@@ -270,7 +297,7 @@ def test_keyboard_moves_from_every_place_and_a_click_on_time_goes_there(opened):
     press(page, "PageDown")
     assert state(page)["i"] == I - 9
     press(page, "PageUp", "End")
-    assert state(page)["i"] == 119
+    assert state(page)["i"] == 129
     press(page, "Home", "ArrowLeft")
     assert state(page)["i"] == 0
     page.get_by_label("half-step").focus()
@@ -278,7 +305,7 @@ def test_keyboard_moves_from_every_place_and_a_click_on_time_goes_there(opened):
     assert state(page)["i"] == 1
     area = state(page)["time"]["area"]
     click(page, "errors through time", area["x"] + area["w"] * 2.1 / 5.9, 40)
-    assert state(page)["i"] == 43
+    assert state(page)["label"] == "frame 21, 2.1 s, updated"
 
 
 def test_play_goes_on_and_pause_stops_at_once(opened):
@@ -334,10 +361,9 @@ def test_the_label_of_each_canvas_says_what_is_shown_now(opened, explorers, step
     opened_page = opened("joint")
     select(opened_page, "landmark", 13)
     opened_page.get_by_label("half-step").focus()
-    for i in (I, I + 1):
-        belief = steps[i // 2].posterior if i % 2 else steps[i // 2].prior
+    for belief in (steps[21].posterior, steps[22].prior):
         heading = np.degrees(np.sqrt(belief.pose_covariance[5, 5]))
-        x, y = belief.world_T_imu[:2, 3]
+        x, y = belief.world_T_imu[:2, 3].round(3)
         assert f"car at {x:.3g}, {y:.3g} m, σ " in labels("map")
         assert f"heading {heading:.3g}°; {len(belief.ids)} landmarks" in labels("map")
         assert f"correlation of {len(belief.ids)} landmarks and the pose; landmark 13, " in labels("joint covariance")
@@ -389,7 +415,7 @@ def test_two_runs_stand_side_by_side_and_move_together(opened, explorers):
 def test_two_magnified_poses_have_one_scale_in_every_half_step(opened):
     """The larger ellipse is drawn larger; a scale stays, or steps by ten where an ellipse would be a dot."""
     page, halves = opened("two"), []
-    for i in range(0, 120, 3):
+    for i in range(0, 130, 3):
         page.locator(".vx").evaluate(f"e => e.explorer.go({i})")
         first, second = (one["inset"] for one in state(page)["map"])
         assert (first["half"], first["widen"]) == (second["half"], second["widen"])
@@ -407,7 +433,7 @@ def test_where_the_pose_is_all_that_is_estimated_it_is_the_large_view(opened, ex
     page = opened("odometry", width=1366, height=768)
     shown = state(page)
     assert "inset" not in shown["map"][0]
-    sigma = np.sqrt(np.diag(explorers["odometry"].histories[0].snapshots[I].pose_covariance))
+    sigma = np.sqrt(np.diag(explorers["odometry"].histories[0].snapshots[43].pose_covariance))  # frame 21, no birth
     assert shown["pose"]["sigmas"][2] == pytest.approx(sigma[5], rel=1e-4)
     sizes = [page.get_by_role("img", name=name).first.bounding_box()["height"] for name in ("pose", "map")]
     assert sizes[0] > 1.3 * sizes[1]
@@ -454,3 +480,8 @@ def test_in_a_window_of_800_px_nothing_is_cut_off(opened, name):
 
 def test_reduced_motion_begins_slowly(opened):
     assert opened("joint", reduced_motion="reduce").get_by_label("speed").input_value() == "1"
+
+
+@pytest.mark.parametrize("colours", ["light", "dark"])
+def test_axe_finds_no_violation(opened, colours):
+    assert violations(opened("two", color_scheme=colours)) == []

@@ -10,16 +10,9 @@ import importlib.util
 import nbformat
 import pytest
 from browser import NO_CHROMIUM, POLLING, SCREENSHOTS, SECOND, STATE, jupyter, wait_until
-from test_browser import KERNEL_READY, PICTURE, run_all
+from test_browser import KERNEL_READY, PICTURE, run_all, widgets
 
 pytestmark = NO_CHROMIUM
-IMPORTS = """\
-from vislam_edu import simulate
-from vislam_edu.noise import Noise
-from vislam_edu.widgets import Panel, WhatIf
-from vislam_edu.course.ch02.panel import StereoDepthPicture
-"""
-CELLS = [IMPORTS, "WhatIf(simulate.first_steps().slice(0, 12), Noise(), start=10)", "Panel(StereoDepthPicture())"]
 
 
 def run_notebook_7(page):
@@ -48,10 +41,8 @@ FRONT_ENDS = {  # module: where it shows a notebook, and how all of it is run
 def server(tmp_path_factory):
     """Address of a Jupyter server, which loads whatever front ends are installed."""
     home = tmp_path_factory.mktemp("front_ends")
-    notebook = nbformat.v4.new_notebook(cells=[*map(nbformat.v4.new_code_cell, CELLS)], metadata={
-        "kernelspec": {"name": "python3", "display_name": "Python 3", "language": "python"}})
     (home / "notebooks").mkdir()
-    nbformat.write(notebook, home / "notebooks" / "a.ipynb")
+    nbformat.write(widgets(), home / "notebooks" / "a.ipynb")
     with jupyter("jupyter_server", home, "--JupyterNotebookApp.expose_app_in_browser=True") as address:
         yield address
 
@@ -90,11 +81,11 @@ def keys_step_the_explorer(page):
     explorer.locator("input[type=range]").focus()
     for _ in range(3):
         page.keyboard.press("ArrowRight")
-    assert explorer.evaluate(STATE)["i"] == 13
+    assert explorer.evaluate(STATE)["i"] == 16
     explorer.get_by_role("img", name="map").first.focus()
     for _ in range(2):
         page.keyboard.press("ArrowUp")
-    assert explorer.evaluate(STATE)["i"] == 15
+    assert explorer.evaluate(STATE)["i"] == 18
 
 
 def the_kernel_sends_it_another_run(page):
@@ -105,7 +96,7 @@ def the_kernel_sends_it_another_run(page):
     page.keyboard.press("End")
     wait_until(page, lambda: explorer.evaluate(STATE)["time"]["high"][1] > 1.5 * before[1], "no other run came")
     after = explorer.evaluate(STATE)
-    assert (after["i"], after["time"]["high"][0]) == (15, before[0])
+    assert (after["i"], after["time"]["high"][0]) == (18, before[0])
 
 
 def a_panel_draws_again(page):

@@ -13,7 +13,7 @@ import threading
 from pathlib import Path
 
 import pytest
-from browser import NO_CHROMIUM
+from browser import NO_CHROMIUM, violations
 from whole import WHOLE
 
 pytest.importorskip("myst_nb", reason="the web pages need environment-dev.txt")
@@ -115,6 +115,16 @@ def test_pictures_keep_their_alternative_text(page, site):
     alts = page.locator("article img").evaluate_all("images => images.map(image => image.alt)")
     assert alts
     assert all(len(alt) > 30 for alt in alts), alts
+
+
+@pytest.mark.parametrize(("name", "width", "colours"), [
+    ("index", 1300, "dark"), ("teaching", 500, "light"), ("notebooks/05_vi_slam", 1300, "light")])
+def test_axe_finds_no_violation(page, site, name, width, colours):
+    page.emulate_media(color_scheme=colours)
+    page.set_viewport_size({"width": width, "height": 950})
+    page.goto(f"{site}{name}.html")
+    page.wait_for_load_state("networkidle")
+    assert violations(page) == []
 
 
 @NO_CHROMIUM

@@ -266,7 +266,7 @@ def coverage_of_maps(seed, initialise):
     return [metrics.coverage(error[group], P[group]) for group in (depth > 0, depth > 60)]
 
 
-@claim("03", "With the report's start four times as many ellipsoids miss as should")
+@claim("03", "With $2I$ four times as many ellipsoids miss as should")
 def report_start_misses(seed):
     every, far = coverage_of_maps(seed, mapping.report_prior)
     return 1 - every > 3 * 0.05 and far < 0.5
@@ -662,7 +662,7 @@ def twist_as_state_halves_the_drift(seed):
     return cured(seed, *ALL)[0] < cured(seed, *ALL, model=motion.ImuDriven)[0] / 2
 
 
-@claim("08", "The weights change little where all tracks are good, and remove most of the harm where some are wrong",
+@claim("08b", "The weights change little where all tracks are good, and remove most of the harm where some are wrong",
        share=0.8, few=0)
 def weights_help(seed):
     good = street(seed).slice(0, 150)
@@ -699,12 +699,12 @@ def considered(seed):
                                   lambda drive: pipeline.joint_path(drive, **options))
 
 
-@claim("08", "the noise alone claims far too much", few=0)
+@claim("08b", "the noise alone claims far too much", few=0)
 def a_lens_makes_overconfident(seed):
     return bent(seed, "one number by one sigma")[0] > 50 and bent(seed, "by two")[0] > 200
 
 
-@claim("08", "it now claims too little rather than too much", few=0)
+@claim("08b", "it now claims too little rather than too much", few=0)
 def considered_calibration_covers_it(seed):
     return all(bent(seed, lens)[1] < 6 for lens in LENSES) and bent(seed, "others")[1] < 1.24
 

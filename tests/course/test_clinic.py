@@ -19,7 +19,7 @@ from vislam_edu.widgets import Explorer
 @pytest.mark.parametrize("build", ["nothing", "births first"])
 def test_healthy_patients_raise_no_alarm(build):
     healthy = replace(Build(), **FAULTS[build].changes(1.0))
-    for seed in few(2, range(10_000, 10_006)):
+    for seed in few(1, range(10_000, 10_006)):
         for name in TESTS:
             readings = read(name, healthy, seed)
             assert all(bands()[name][key].holds(value) for key, value in readings.items()), (seed, name, readings)
@@ -29,7 +29,7 @@ def test_healthy_patients_raise_no_alarm(build):
 def test_every_fault_is_separated_by_the_tests_that_its_case_lists(name):
     fault = FAULTS[name]
     assert fault.seen_by
-    for severity in fault.severities:
+    for severity in few(1, fault.severities):
         build = replace(Build(), **fault.changes(severity))
         for test in fault.seen_by:
             assert clinic.evident(test, lambda which, i, build=build: read(which, build, 30_000 + i)), severity

@@ -21,13 +21,14 @@ from vislam_edu.course.clinic.clinic_tests import TESTS, bands
 from vislam_edu.course.clinic.patients import FAULTS, KINDS
 
 KEY = "a secret"
-NAMES = ["Müller, Jörg", "<b>Ann</b>", "=SUM(1)"]
+STUDENTS = {"Müller, Jörg": ["7", "u7", "jm@uni.example"], "<b>Ann</b>": ["", "", ""], "=SUM(1)": ["8", "", ""]}
+NAMES = list(STUDENTS)
 
 
 @pytest.fixture
 def exam(tmp_path):
     exam = examination.Examination(tmp_path / "log.txt", KEY)
-    exam.start(NAMES, 1, 2)
+    exam.start(STUDENTS, 1, 2)
     return exam
 
 
@@ -129,11 +130,11 @@ def test_a_stopped_server_goes_on_where_it_was_and_a_torn_line_counts_for_nothin
         log.write(b"torn in the mid")
     again = examination.Examination(exam.log, KEY)
     assert again.cases == exam.cases
-    again.start([*NAMES, "late"], 1, 2)
+    again.start(STUDENTS | {"late": ["9", "", ""]}, 1, 2)
     again.order("late", 2, "birth")
     assert examination.Examination(exam.log, KEY).cases["late", 2]["ordered"] == ["birth"]
     with pytest.raises(OptionError, match="go on with these"):
-        again.start(NAMES, 2, 2)
+        again.start(STUDENTS, 2, 2)
 
 
 def test_a_changed_log_is_noticed(exam):
@@ -163,7 +164,7 @@ def test_grading_is_one_row_a_student_with_a_total(exam, site, tmp_path, capsys)
     assert [row["student"] for row in rows] == [*NAMES[:2], "'=SUM(1)"]
     assert [float(row["total"]) for row in rows] == [10, 10, 0]
     assert [row["patient 1"] for row in rows] == ["10.0", "10.0", "0.0"]
-    assert rows[0]["maximum"] == "20"
+    assert [rows[0][name] for name in ("id", "number", "email", "maximum")] == ["7", "u7", "jm@uni.example", "20"]
     assert rows[0]["remarks"] == "2: not answered"
     told = json.loads((tmp_path / "clinic.json").read_text(encoding="utf-8"))
     assert told[NAMES[0]][0]["truth"] == [list(right_answer(NAMES[0], 1)[1:])]
@@ -174,7 +175,7 @@ def test_grading_is_one_row_a_student_with_a_total(exam, site, tmp_path, capsys)
 
 def test_two_faults_are_answered_in_two_rows(tmp_path):
     exam = examination.Examination(tmp_path / "log.txt", KEY)
-    exam.start(["ann"], 3, 8)
+    exam.start({"ann": ["", "", ""]}, 3, 8)
     number = next(n for n in range(1, 9) if len(patients.draw("ann", n, 3, KEY).faults) == 2)
     assert examination.page(exam, "ann").count('name="piece"') == 16
     findings = []
@@ -189,16 +190,17 @@ def test_two_faults_are_answered_in_two_rows(tmp_path):
 
 def test_serving_from_the_command_line(tmp_path):
     roster = tmp_path / "roster.csv"
-    roster.write_text('name,id\n"Müller, Jörg",7\nZoë,8\n', encoding="utf-8")
+    roster.write_text('name,id,email\n"Müller, Jörg",7,\nZoë,8,z@uni.example\nZoë,9,\n', encoding="utf-8")
     words = ["clinic", "serve", "--key", str(tmp_path / "key"), "--roster", str(roster), "--students", "ann", "--port",
              "0", "--out", str(tmp_path / "exam")]
     with subprocess.Popen([sys.executable, "-m", "vislam_edu", *words], stdout=subprocess.PIPE, text=True) as served:
         try:
             assert "a new key was written" in served.stdout.readline()
-            assert "3 students at http://127.0.0.1:" in served.stdout.readline()
+            assert "4 students at http://127.0.0.1:" in served.stdout.readline()
             links = list(csv.DictReader((tmp_path / "exam" / "links.csv").open(encoding="utf-8")))
-            assert [row["student"] for row in links] == ["ann", "Müller, Jörg", "Zoë"]
-            assert "Clinic: Zoë" in asked(links[2]["link"])[1]
+            assert [row["student"] for row in links] == ["ann", "Müller, Jörg", "Zoë (8)", "Zoë (9)"]
+            assert links[2]["email"] == "z@uni.example"
+            assert "Clinic: Zoë (8)" in asked(links[2]["link"])[1]
         finally:
             served.terminate()
     assert served.returncode == 0

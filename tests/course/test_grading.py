@@ -10,84 +10,23 @@ import sys
 import time
 from pathlib import Path
 
+import hostile
 import pytest
+from hostile import RIGHT_HAT, notebook
 
 from vislam_edu import cli
 from vislam_edu.course.checks.verdict import RIGHT, WRONG
 from vislam_edu.course.exercises import EXERCISES
-from vislam_edu.course.grading import cells, collecting, grading, report, sandbox, submission
+from vislam_edu.course.grading import cells, collecting, grading, report, sandbox
 
-HAT = """import numpy as np
-def so3_hat(omega):
-    x, y, z = omega
-    return np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-"""
-CHECK_HAT = "from vislam_edu.course.exercises import check\ncheck.so3_hat(so3_hat)"
-RIGHT_HAT = HAT + CHECK_HAT
 posix = pytest.mark.skipif(os.name != "posix", reason="process groups and limits are those of POSIX")
-linux = pytest.mark.skipif(sys.platform != "linux", reason="/proc is Linux")
 
-DAEMON = """
-import os, subprocess, sys, time
-if os.fork() == 0:
-    os.setsid()
-    if os.fork() == 0:
-        open("daemon.pid", "w").write(str(os.getpid()))
-        time.sleep(1000)
-    os._exit(0)
-while not os.path.exists("daemon.pid"):
-    time.sleep(0.01)
-"""
-RECORD = "import os, sys; path = sys.argv[2] + '/record'\n"
-FORGED = RECORD + r"""
-with open(path, "a") as file:
-    file.write('{"exercise": "odot", "status": "right", "outcomes": null}\n')
-    file.write('0' * 64 + ' {"exercise": "adjoint", "outcomes": []}\n[' + "[" * 100000 + "\n3\n")
-"""
-CODE = {  # student: cells before the check of so3_hat
-    "a good one": "1 + 1",
-    "forges the record": FORGED,
-    "a surrogate in a cell": "'\ud800'",
-    "garbage on every file": "import os\nfor i in range(3, 20):\n    try: os.write(i, b'x' * 1000)\n"
-                             "    except OSError: pass",
-    "ends its parent": "import os; os.kill(os.getppid(), 9)",
-    "ends itself": "import os; os.kill(os.getpid(), 9)",
-    "exits": "import sys; sys.exit(3)",
-    "takes memory": "import numpy as np\nx = np.ones(10**9)",
-    "takes memory bit by bit": "import numpy as np\nx = []\nwhile True: x.append(np.zeros(1 << 23))",
-    "writes much": "open('large', 'wb').write(bytes(1 << 28))",
-    "prints much": "print('x' * 10**8)",
-    "leaves a daemon": DAEMON,
-    "leaves a thread": "import threading, time\nthreading.Thread(target=time.sleep, args=(1000,)).start()",
-    "an error without words": "class Mute(Exception):\n    def __str__(self): raise self\nraise Mute",
-    "shadows with a folder": "import vislam_edu; assert 'shadow' not in vislam_edu.__file__",
-    "shadows with a module": "import vislam_edu; assert 'shadow' not in vislam_edu.__file__",
-    "=HYPERLINK(\"x\")": "1",
-}
-RECORD_MADE = {  # what it puts in the place of the record, in a cell after the check
-    "a pipe for a record": "os.unlink(path); os.mkfifo(path)",
-    "a device for a record": "os.unlink(path); os.symlink('/dev/zero', path)",
-    "a folder for a record": "os.unlink(path); os.mkdir(path)",
-    "a large record": "open(path, 'a').write('x' * (50_000_000 + 1))",
-    "no utf-8 in a record": r"open(path, 'ab').write(b'\xff\n')",
-}
-TEXT = {  # student: the notebook file
-    "no json": "no notebook",
-    "empty": "{}",
-    "cells are a number": '{"cells": 3, "nbformat": 4}',
-    "a source is a number": '{"cells": [{"cell_type": "code", "source": 3}], "nbformat": 4, "nbformat_minor": 5}',
-    "a cell is a number": '{"cells": [3], "nbformat": 4, "nbformat_minor": 5}',
-    "nested": '{"cells": ' + "[" * 100_000,
-    "of version 3": '{"worksheets": [], "nbformat": 3, "nbformat_minor": 0}',
-}
-
-
-def notebook(folder, sources, name="a.ipynb"):
-    folder.mkdir(parents=True, exist_ok=True)
-    content = {"cells": [{"cell_type": "code", "source": source} for source in sources], "nbformat": 4,
-               "nbformat_minor": 5, "metadata": {}}
-    (folder / name).write_text(json.dumps(content), encoding="utf-8")
-    return folder / name
+# Some of each kind; `python tests/hostile.py` puts all of them, the weekly workflow too.
+HAND_IN = [
+    "forges the record", "replaces json", "no inputs", "a pipe for a record", "a large record", "takes memory",
+    "writes much", "prints much", "a large integer", "a result that exits", "leaves a daemon", "ends its parent",
+    "ends itself", "exits", "leaves a thread", "an error without words", "a row of signs", "a surrogate in a cell",
+    "shadows with a folder", "\x1b[31mred", "=HYPERLINK(\"x\")", "is a pipe", "is a device", "leads nowhere", "nested"]
 
 
 def statuses(entry):
@@ -97,94 +36,30 @@ def statuses(entry):
 
 @pytest.fixture(scope="module")
 def graded(tmp_path_factory):
-    """All hostile submissions, graded by one command; entries of exercises.json by student, and the folders."""
-    folder, out = tmp_path_factory.mktemp("class"), tmp_path_factory.mktemp("grades")
-    for student, source in CODE.items():
-        notebook(folder / student, [source, RIGHT_HAT])
-    for student, source in RECORD_MADE.items():
-        notebook(folder / student, [RIGHT_HAT, RECORD + source])
-    for student, text in TEXT.items():
-        (folder / student).mkdir()
-        (folder / student / "a.ipynb").write_text(text, encoding="utf-8")
-    shadow = "shadow = True\nraise SystemExit('the wrong package')\n"
-    (folder / "shadows with a folder" / "vislam_edu").mkdir()
-    (folder / "shadows with a folder" / "vislam_edu" / "__init__.py").write_text(shadow)
-    (folder / "shadows with a module" / "vislam_edu.py").write_text(shadow)
-    for student in ("is a pipe", "is a device", "is a folder", "leads nowhere"):
-        (folder / student).mkdir()
-    os.mkfifo(folder / "is a pipe" / "a.ipynb")
-    (folder / "is a device" / "a.ipynb").symlink_to("/dev/zero")
-    (folder / "is a folder" / "a.ipynb").mkdir()
-    (folder / "leads nowhere" / "a.ipynb").symlink_to("nowhere")
-    notebook(Path(os.fsdecode(os.fsencode(folder) + b"/not \xff utf-8")), [RIGHT_HAT])
-    done = subprocess.run([sys.executable, "-m", "vislam_edu", "exercises", "--report", folder, "--out", out, "--jobs",
-                           "2", "--limit", "60"], capture_output=True, text=True, timeout=400, errors="replace")
-    assert done.returncode == 0, done.stderr
-    assert "Traceback" not in done.stderr
-    entries = json.loads((out / "exercises.json").read_text(encoding="utf-8"))
-    return {entry["notebook"].split("/")[0]: entry for entry in entries}, folder, out, done.stdout
+    """Hostile submissions, graded by one command; entries of exercises.json by student, folders, what was printed."""
+    hostile.handed_in(folder := tmp_path_factory.mktemp("class"), HAND_IN)
+    entries, printed = hostile.report(folder, out := tmp_path_factory.mktemp("grades"), 200)
+    return entries, folder, out, printed
 
 
 pytestmark = posix
 
 
-@pytest.mark.parametrize("student", [
-    "a good one", "garbage on every file", "exits", "takes memory", "writes much", "prints much", "leaves a daemon",
-    "leaves a thread", "an error without words", "shadows with a folder", "shadows with a module",
-    "a surrogate in a cell", "=HYPERLINK(\"x\")", "not ? utf-8"])
-def test_what_goes_wrong_in_one_cell_costs_nothing_else(graded, student):
-    entry = graded[0][student]
-    assert statuses(entry) == {"so3_hat": RIGHT}
-    assert entry["problem"] == ""
+@pytest.mark.parametrize("student", [*HAND_IN, "a good one"])
+def test_what_goes_wrong_in_a_submission_stands_in_its_row_and_costs_nothing_else(graded, student):
+    assert hostile.problem_of(student, graded[0]) == ""
+
+
+def test_every_submission_has_its_row_and_nothing_is_left(graded):
+    entries, folder, out, printed = graded
+    assert len(entries) == len(list(folder.iterdir()))
+    assert statuses(entries["not ? utf-8"]) == {"so3_hat": RIGHT}
+    assert hostile.left_behind(folder, out, printed) == []
 
 
 def test_lines_without_the_signature_are_nobodys(graded):
-    entry = graded[0]["forges the record"]
-    assert statuses(entry) == {"so3_hat": RIGHT}
-    assert entry["notes"] == ["its code has sys.argv"]
-
-
-@pytest.mark.parametrize("student", ["ends its parent", "ends itself", "takes memory bit by bit"])
-def test_who_ends_its_own_process_has_a_row_that_says_so(graded, student):
-    entry = graded[0][student]
-    # As good: a MemoryError in the cell; a notebook that ends before the grader sees that its parent is gone.
-    if student != "ends itself" and not entry["problem"]:
-        assert statuses(entry) == {"so3_hat": RIGHT}
-    else:
-        assert entry["problem"].startswith("its process ended before the notebook did")
-        assert statuses(entry) == {"so3_hat": grading.NO_VERDICT}
-
-
-@pytest.mark.parametrize("student", RECORD_MADE)
-def test_what_stands_in_the_place_of_the_record_is_not_waited_for(graded, student):
-    entry = graded[0][student]
-    assert set(statuses(entry)) == {"so3_hat"}
-    assert entry["problem"].startswith("its process ended")
-
-
-@pytest.mark.parametrize("student", [*TEXT, "is a pipe", "is a device", "is a folder", "leads nowhere"])
-def test_what_is_no_notebook_has_a_row_that_says_so(graded, student):
-    assert graded[0][student]["problem"].startswith("not a readable notebook: ")
-    assert graded[0][student]["exercises"] == []
-
-
-def test_every_submission_has_its_row_and_nothing_else_is_left(graded):
-    entries, folder, out, printed = graded
-    assert len(entries) == len(list(folder.iterdir()))
-    assert sorted(path.name for path in out.iterdir()) == [
-        "exercises.csv", "exercises.json", "feedback", "matrix.csv", "points.csv", "similar.csv", "summary.txt"]
-    assert "\x1b" not in printed
-
-
-@linux
-def test_a_process_that_left_the_group_is_ended(graded):
-    pid = int((graded[1] / "leaves a daemon" / "daemon.pid").read_text())
-    state = Path(f"/proc/{pid}/stat")
-    assert not state.exists() or state.read_text().rsplit(")", 1)[1].split()[0] == "Z"
-
-
-def test_files_that_are_written_have_a_limit(graded):
-    assert (graded[1] / "writes much" / "large").stat().st_size <= submission.FILE_SIZE
+    assert statuses(graded[0]["forges the record"]) == {"so3_hat": RIGHT}
+    assert graded[0]["forges the record"]["notes"] == ["its code has sys.argv"]
 
 
 def test_a_formula_is_text_in_every_csv_file(graded):

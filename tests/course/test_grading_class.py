@@ -15,6 +15,7 @@ from blind_answers import read
 
 from vislam_edu import cli
 from vislam_edu.cli.arguments import OptionError
+from vislam_edu.course.checks import surroundings
 from vislam_edu.course.checks.running import copied
 from vislam_edu.course.checks.verdict import NOT_WRITTEN, RIGHT, WRONG, concluded, judge
 from vislam_edu.course.cli import hand_out
@@ -198,6 +199,7 @@ def test_names_in_bulk_downloads_are_read():
     for name, student in [("doejane_7_99_01_se3_kinematics.ipynb", "doejane 7"),
                           ("doejane_LATE_7_99_01_se3-2.ipynb", "doejane 7"),
                           ("Jane van Doe_1234_assignsubmission_file_/sub/a.ipynb", "Jane van Doe 1234"),
+                          ("Jane van Doe_1234_assignsubmission_file/a.ipynb", "Jane van Doe 1234"),
                           ("all/Jane van Doe_1234_assignsubmission_file_a.ipynb", "Jane van Doe 1234"),
                           ("anna/03_landmark_ekf.ipynb", "anna"), ("03_landmark_ekf.ipynb", "03_landmark_ekf")]:
         assert submitted(name).student == student
@@ -291,6 +293,18 @@ def test_the_verdict_is_that_of_the_notebook(function):
     assert told == here or "arrays of the shapes [(2000, 2000)]" in told
 
 
+@pytest.mark.parametrize("number", [0, 1, 7, 50])
+def test_a_notebook_that_changes_its_inputs_answers_for_others_than_it_is_judged_by(number, monkeypatch):
+    """With omega = 0, drawn or given, a matrix of zeros is right."""
+    exercise = EXERCISES["so3_hat"]
+    with monkeypatch.context() as patched:
+        patched.setattr(type(exercise), "inputs", lambda *_: [("random", (np.zeros(3),))] * number)
+        patched.setattr(surroundings, "restored", list)
+        assert judge(exercise, lambda omega: np.diag(omega)).right or not number
+        entry = json.loads(json.dumps(submission.tried("so3_hat", lambda omega: np.diag(omega))))
+    assert concluded(exercise, submission.received(entry["attempt"])).status == WRONG
+
+
 @pytest.mark.parametrize("name", [name for name, one in EXERCISES.items() if one.chapter in (1, 3, 5, 13)])
 def test_known_mistakes_are_known_across_processes(name):
     exercise = EXERCISES[name]
@@ -335,7 +349,7 @@ def test_names_and_layout_do_not_make_another_answer():
 
 
 def test_students_are_handed_stubs_and_nothing_of_the_teachers(tmp_path, capsys):
-    assert cli.main(["hand-out", str(tmp_path / "course"), "--chapters", "03", "13"]) == 0
+    assert cli.main(["hand-out", str(tmp_path / "course"), "--for", "students", "--chapters", "03", "13"]) == 0
     files = {path.relative_to(tmp_path / "course").as_posix() for path in (tmp_path / "course").rglob("*")}
     assert {"notebooks/03_landmark_ekf.ipynb", "notebooks/13_your_own_filter.ipynb", "docs/notation.md",
             "data/first_steps.npz"} <= files
@@ -348,6 +362,13 @@ def test_students_are_handed_stubs_and_nothing_of_the_teachers(tmp_path, capsys)
     (tmp_path / "worked.ipynb").write_text(source.read_text(encoding="utf-8").replace(
         "raise NotImplementedError", "return 42"), encoding="utf-8")
     assert b"return 42" not in hand_out._cleared(tmp_path / "worked.ipynb", keep_outputs=True)
+    assert cli.main(["hand-out", str(tmp_path / "own"), "--for", "teachers", "--chapters", "01"]) == 0
+    assert (tmp_path / "own" / "docs" / "instructor.md").exists()
+    text = (tmp_path / "own" / "notebooks" / "01_se3_kinematics.ipynb").read_text(encoding="utf-8")
+    [stub] = ["".join(cell["source"]) for cell in json.loads(text)["cells"] if cell["id"] == "so3-hat"]
+    assert "NotImplementedError" not in stub
+    exec(stub, scope := {"np": np})
+    assert judge(EXERCISES["so3_hat"], scope["so3_hat"]).right
     assert cli.main(["hand-out", str(tmp_path / "other"), "--chapters", "99"]) == cli.BAD_INPUT
     assert capsys.readouterr().err == "vislam_edu: 99: there is no notebook of this chapter\n"
     assert not (tmp_path / "other").exists()

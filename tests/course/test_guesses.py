@@ -34,6 +34,7 @@ def somebody(monkeypatch, tmp_path):
     """A reader in a folder of their own."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(guesses, "can_answer", lambda: True)
+    monkeypatch.setattr(guesses, "COMPARED", {})
     return tmp_path / guesses.FILE
 
 
@@ -77,6 +78,26 @@ def test_a_guess_is_kept_shown_beside_the_value_and_replaced_by_the_next(somebod
     assert guesses.field(asked).value == "10"
     guesses.field(asked).value = "2"
     assert json.loads(somebody.read_text(encoding="utf-8")) == {"How far?": "2", "Why?": "a sign"}
+
+
+def test_the_guesses_of_a_chapter_stand_together_at_its_end(somebody, capsys):
+    near, far, unanswered = (guesses.Guess(question, "m") for question in ("How near?", "How far?", "How deep?"))
+    near.keep("1")
+    far.keep("10")
+    for asked, value in ((far, 3.0), (near, 0.5), (unanswered, 7.0), (far, 4.0)):
+        asked.compare(value)
+    capsys.readouterr()
+    guesses.your_guesses()
+    assert capsys.readouterr().out == ("How far?\n    Your guess: 10 m. Here: 4 m.\n"
+                                       "How near?\n    Your guess: 1 m. Here: 0.5 m.\n")
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+def test_a_chapter_that_asks_ends_with_all_guesses(path):
+    code = ["".join(cell["source"]) for cell in read(path)["cells"] if cell["cell_type"] == "code"]
+    asks = [place for place, source in enumerate(code) if re.search(r"(?<!capstone)\.compare\(", source)]
+    ends = [place for place, source in enumerate(code) if "your_guesses()" in source]
+    assert not asks or (len(ends) == 1 and ends[0] > asks[-1])
 
 
 @pytest.mark.parametrize("text", ["{", "[]", '{"a": 1}', "\0"])

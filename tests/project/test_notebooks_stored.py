@@ -111,7 +111,16 @@ def test_a_link_leads_to_a_file_and_nothing_is_fetched(path):
     assert FETCHED.findall(text) == []
 
 
-QUOTE = re.compile(r"\[\d\d\]\(\.\./notebooks/(\w+\.ipynb)\): `([^`]+)`")
+NOTE = re.compile(r"^\*(\[Report\]\(00_start_here\.ipynb\)|Report), [^*]+:\*", re.MULTILINE)
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS[1:], ids=lambda path: path.stem)
+def test_the_first_note_on_the_report_of_a_chapter_says_what_that_is(path):
+    notes = NOTE.findall("\n".join(cell.source for cell in nbformat.read(path, as_version=4).cells))
+    assert ["[" in note for note in notes] == [True] * bool(notes) + [False] * (len(notes) - 1)
+
+
+QUOTE = re.compile(r"\[\d\db?\]\(\.\./notebooks/(\w+\.ipynb)\): `([^`]+)`")
 QUOTES = QUOTE.findall((ROOT / "docs/instructor.md").read_text(encoding="utf-8"))
 
 

@@ -86,6 +86,7 @@ def test_start_never_writes_over_a_students_work(tmp_path, capsys):
     for _ in range(2):
         assert cli.main(["start", str(tmp_path), "--no-open"]) == 0
     assert first.read_text() == "my answers"
+    assert {path.name for path in (tmp_path / "docs").iterdir()} == {"notation.md", "reading.md"}  # not the teacher's
     assert "0 files copied" in capsys.readouterr().out.splitlines()[-1]
 
 

@@ -94,7 +94,12 @@ def unpacked(explorer):
 
 
 def beliefs(steps):
-    return [belief for step in steps for belief in (step.prior, step.posterior)]
+    """Of each half-step: predicted, updated, and born where landmarks are."""
+    for step in steps:
+        yield step.prior
+        yield window_slam.marginalise(step.posterior, ~np.isin(step.posterior.ids, step.born))
+        if len(step.born):
+            yield step.posterior
 
 
 def test_the_front_end_has_the_same_layout():
@@ -133,7 +138,7 @@ def test_every_half_step_arrives_with_its_means_and_covariance(runs, explorer, n
 def test_ellipses_are_those_of_positions_in_the_world(runs, explorer, name):
     """For the invariant filter that takes the correlation with the pose."""
     run = unpacked(explorer)[list(STATES).index(name)]
-    for i, belief in list(enumerate(beliefs(runs[name])))[1::13]:
+    for i, belief in list(enumerate(beliefs(runs[name])))[2::13]:
         world = world_landmark_covariance(belief, STATES[name])
         np.testing.assert_allclose(run.ellipses(i), world[:, :2, :2], rtol=1e-5, atol=1e-9)
         np.testing.assert_allclose(run.axes[run.of(i)], history.principal_sigmas(world), rtol=1e-4, atol=1e-7)
@@ -142,8 +147,8 @@ def test_ellipses_are_those_of_positions_in_the_world(runs, explorer, name):
 def test_series_are_the_errors_of_a_right_perturbation_with_three_sigma(runs, explorer, drive):
     for one, (name, steps) in zip(explorer.histories, runs.items()):
         heading = one["heading error"]
-        for i in (1, 30, 41, 119):
-            belief, T = beliefs(steps)[i], drive.true_world_T_imu[i // 2]
+        for k in (0, 15, 20, 59):
+            i, belief, T = one.at(k, 1), steps[k].posterior, drive.true_world_T_imu[k]
             error = se3.log(se3.inverse(belief.world_T_imu) @ T)
             claimed = right_pose_covariance(belief, STATES[name])
             assert one["forward error"].values[i] == pytest.approx(error[0], rel=1e-9)
@@ -194,8 +199,8 @@ def test_sights_hold_the_frames_measurements(runs, explorer):
     rows, ids, numbers = run.sight, run.sight_ids, run.sights
     for k in (1, 20, 59):
         innovation = runs["right"][k].innovation
-        for i in (2 * k, 2 * k + 1):
-            of = slice(*rows[i])
+        for stage in (0, 1, 2):
+            of = slice(*rows[explorer.histories[0].at(k, stage)])
             np.testing.assert_array_equal(ids[of], innovation.ids)
             np.testing.assert_allclose(numbers[of, :2], innovation.measured[:, :2], rtol=1e-6)
             np.testing.assert_allclose(numbers[of, 2:4], innovation.predicted[:, :2], rtol=1e-6)
@@ -215,23 +220,57 @@ def test_inset_stands_in_the_axes_of_the_belief_it_came_from(runs, explorer, dri
                 before[0, 0], before[0, 1], before[1, 1], np.sqrt(before[5, 5]),
                 *moved[:2, 3], np.arctan2(moved[1, 0], moved[0, 0]),
                 *truth[:2, 3], np.arctan2(truth[1, 0], truth[0, 0])]
-    np.testing.assert_allclose(inset[41], expected, rtol=1e-4, atol=1e-7)
-    np.testing.assert_allclose(inset[40, 8:11], 0, atol=1e-7)  # a prediction stands where it stands
+    i = explorer.histories[0].at(20)
+    np.testing.assert_allclose(inset[i], expected, rtol=1e-4, atol=1e-7)
+    np.testing.assert_allclose(inset[i - 1, 8:11], 0, atol=1e-7)  # a prediction stands where it stands
 
 
-def test_born_and_retired_are_told_once_each(runs, explorer):
-    run = unpacked(explorer)[0]
+def test_born_and_retired_stand_in_the_half_step_in_which_they_are(runs, explorer):
+    run, at = unpacked(explorer)[0], explorer.histories[0].at
+    half_steps = 0
     for k, step in enumerate(runs["right"]):
-        assert run.born[2 * k] == run.retired[2 * k + 1] == []
-        assert run.born[2 * k + 1] == step.born.tolist()
-        assert run.retired[2 * k] == step.retired.tolist()
+        frame = [("predicted", [], step.retired.tolist()), ("updated", [], [])]
+        frame += [("born", step.born.tolist(), [])] * bool(len(step.born))
+        for stage, (name, born, retired) in enumerate(frame):
+            assert (run.born[at(k, stage)], run.retired[at(k, stage)]) == (born, retired)
+            assert explorer.header["labels"][at(k, stage)] == f"frame {k}, {step.time:.1f} s, {name}"
+        half_steps += len(frame)
+    assert explorer.n == half_steps == 130  # ten frames have births
+
+
+def test_between_update_and_birth_stands_what_the_update_gave(runs, explorer, drive):
+    """The update done again: a birth changes nothing of what is there."""
+    settings = window_slam.UpdateSettings(drive.camera, NOISE, STATES["right"], chi2.ppf(0.99, 4), 1.0)
+    run, one = unpacked(explorer)[0], explorer.histories[0]
+    for step in (step for step in runs["right"][1:] if len(step.born)):
+        i, seen = one.at(step.k, 1), step.innovation
+        updated, _ = window_slam.update(step.prior, seen.ids, seen.measured, settings)
+        assert run.ids[run.of(i)].tolist() == updated.ids.tolist()
+        np.testing.assert_allclose(one.snapshots[i].covariance, updated.covariance, rtol=1e-9)
+        np.testing.assert_allclose(one.snapshots[i].world_T_imu, updated.world_T_imu, rtol=1e-12)
+        assert explorer.caption(i + 1).endswith(f"new: {', '.join(map(str, step.born))}; nothing else changes.")
+    assert "nothing changes, because no landmark of the state is measured" in explorer.caption(1)
+
+
+def test_two_runs_have_the_same_half_steps_where_only_one_has_a_birth(drive, runs):
+    """The report's frame births first and measures after: its prior has the new landmarks, the third is idle."""
+    report = list(window_slam.run(drive.slice(0, 6), NOISE, process_frame=window_slam.as_report))
+    alone, both = Explorer(report, drive), Explorer({"right": runs["right"][:6], "report": report}, drive)
+    assert (alone.n, both.n) == (12, 14)
+    one, other = both.histories
+    i = other.at(4, 0)
+    assert (one.snapshots[i].born.tolist(), other.snapshots[i].born.tolist()) == ([], [14])
+    assert np.allclose(other.snapshots[i].triangulated, NOISE.landmark_prior * np.eye(3))
+    assert "new: 14" in both.caption(i, 1)
+    assert both.caption(i + 2) == "frame 4, 0.4 s, born: new: 14; nothing else changes."
+    assert both.caption(i + 2, 1) == "frame 4, 0.4 s, born: nothing changes, no birth here."
 
 
 def test_motion_states_get_rows_and_names(drive):
     steps = list(window_slam.run(drive.slice(0, 4), NOISE, motion_model=TwistAndBias))
     run = unpacked(Explorer(steps, drive))[0]
     assert run.rows[1][6:] == history.MOTION_ROWS
-    assert len(run.covariance(7)) == 3 * len(steps[3].posterior.ids) + 15
+    assert len(run.covariance(8)) == 3 * len(steps[3].posterior.ids) + 15
 
 
 # --- map on given poses, pose on a given map ---
@@ -240,10 +279,10 @@ def test_motion_states_get_rows_and_names(drive):
 def test_map_history_holds_the_seen_landmarks_and_the_given_poses(drive, mapped):
     steps, explorer = mapped
     run = unpacked(explorer)[0]
-    belief = steps[20].posterior
-    np.testing.assert_array_equal(run.ids[run.of(41)], np.flatnonzero(belief.seen))
-    np.testing.assert_allclose(run.ellipses(41), belief.covariance[belief.seen][:, :2, :2], rtol=1e-5)
-    np.testing.assert_allclose(run.pose[41, :3], drive.true_world_T_imu[20, :3, 3], rtol=1e-6, atol=1e-6)
+    belief, i = steps[20].posterior, explorer.histories[0].at(20)
+    np.testing.assert_array_equal(run.ids[run.of(i)], np.flatnonzero(belief.seen))
+    np.testing.assert_allclose(run.ellipses(i), belief.covariance[belief.seen][:, :2, :2], rtol=1e-5)
+    np.testing.assert_allclose(run.pose[i, :3], drive.true_world_T_imu[20, :3, 3], rtol=1e-6, atol=1e-6)
     assert "sigma" not in run.arrays
     assert [one["name"] for one in run.series] == ["NIS / landmark"]
 
@@ -252,11 +291,11 @@ def test_map_stands_still_in_the_prediction_and_shrinks_in_the_update(mapped):
     steps, explorer = mapped
     run = unpacked(explorer)[0]
     for k in range(1, len(steps)):
-        np.testing.assert_array_equal(run.axes[run.of(2 * k)], run.axes[run.of(2 * k - 1)])
-        assert "nothing changes" in explorer.caption(2 * k)
-        used = np.isin(run.ids[run.of(2 * k)], steps[k].innovation.ids[steps[k].innovation.accepted])
-        after = run.axes[run.of(2 * k + 1)][np.isin(run.ids[run.of(2 * k + 1)], run.ids[run.of(2 * k)])]
-        assert (after[used].prod(axis=1) < run.axes[run.of(2 * k)][used].prod(axis=1)).all()
+        i = explorer.histories[0].at(k, 0)
+        np.testing.assert_array_equal(run.axes[run.of(i)], run.axes[run.of(i - 1)])
+        assert "nothing changes" in explorer.caption(i)
+        used = np.isin(run.ids[run.of(i)], steps[k].innovation.ids[steps[k].innovation.accepted])
+        assert (run.axes[run.of(i + 1)][used].prod(axis=1) < run.axes[run.of(i)][used].prod(axis=1)).all()
 
 
 def test_nis_on_a_given_map_and_on_given_poses_is_that_of_the_innovations(drive, mapped, localised):
@@ -314,7 +353,7 @@ def test_pairs_of_a_loop_closure_are_joint_beliefs_one_after_the_other(drive, ru
     explorer = Explorer.from_beliefs(["before", "1 pair fused", "2 pairs fused"], states, drive, unit="pair fused",
                                      frames=[0, 1, 2], captions=["a", "b", "c"])
     run = unpacked(explorer)[0]
-    assert explorer.header["updated"] == [1, 1, 1]
+    assert explorer.header["stage"] == [1, 1, 1]
     assert run.captions == ["a", "b", "c"]
     np.testing.assert_allclose(np.diag(run.covariance(2)), np.diag(states[2].covariance), rtol=1e-5)
 
@@ -331,7 +370,7 @@ def test_it_does_without_the_truth(drive, runs):
 
 
 def test_what_cannot_be_shown_is_refused(drive, runs):
-    with pytest.raises(ValueError, match="118 half-steps, expected 120 as in right"):
+    with pytest.raises(ValueError, match="128 half-steps, expected 130 as in right"):
         Explorer({"right": runs["right"], "short": runs["right"][:-1]}, drive)
     with pytest.raises(ValueError, match="at least one step"):
         Explorer([], drive)
@@ -369,7 +408,7 @@ def test_representation_is_fixed_and_holds_a_still_picture_with_words(explorer):
     first = repr(explorer)
     explorer.half_step = 41
     data, metadata = explorer._repr_mimebundle_()
-    assert data["text/plain"] == repr(explorer) == first == "Explorer(right and invariant, 120 half-steps)"
+    assert data["text/plain"] == repr(explorer) == first == "Explorer(right and invariant, 130 half-steps)"
     assert "application/vnd.jupyter.widget-view+json" in data
     assert Image.open(io.BytesIO(base64.b64decode(data["image/png"]))).size == (1000, 600)
     assert explorer.histories[0].snapshots[41].caption in metadata["image/png"]["alt"]
@@ -385,31 +424,36 @@ def test_a_page_holds_everything_and_fetches_nothing(explorer, tmp_path):
 
 
 def test_update_sends_other_steps_and_keeps_what_is_chosen(drive, runs):
-    explorer = Explorer(runs["right"], drive, start=50, landmark=8)
+    explorer = Explorer(runs["right"], drive, start=25, landmark=8)
     explorer.update(runs["right"][:10])
-    assert (explorer.n, explorer.half_step, explorer.landmark) == (20, 19, 8)
-    np.testing.assert_allclose(unpacked(explorer)[0].pose[19, :3], runs["right"][9].posterior.world_T_imu[:3, 3],
+    assert (explorer.n, explorer.half_step, explorer.landmark) == (22, 21, 8)
+    np.testing.assert_allclose(unpacked(explorer)[0].pose[21, :3], runs["right"][9].posterior.world_T_imu[:3, 3],
                                rtol=1e-5, atol=1e-6)
 
 
 def test_what_if_runs_the_filter_again(drive, runs):
     """Twice the sigma of V: pose and NIS as a filter run here says. A measurement left out is not in its innovation."""
     what_if = WhatIf(drive, NOISE)
+
+    def show(frame):
+        what_if.explorer.half_step = what_if.explorer.histories[0].at(frame)
+
     what_if.factor.value = 4.0
     other = list(window_slam.run(drive, dataclasses.replace(NOISE, sigma_px=2 * NOISE.sigma_px)))
     before, after = unpacked(what_if.explorer)
     assert (before.name, after.name, what_if.explorer.show) == (AS_IT_WAS, WHAT_IF, BOTH)
-    np.testing.assert_allclose(after.covariance(119).diagonal(), other[-1].posterior.covariance.diagonal(), rtol=1e-5)
-    np.testing.assert_allclose(before.covariance(119).diagonal(), runs["right"][-1].posterior.covariance.diagonal(),
+    np.testing.assert_allclose(after.covariance(129).diagonal(), other[-1].posterior.covariance.diagonal(), rtol=1e-5)
+    np.testing.assert_allclose(before.covariance(129).diagonal(), runs["right"][-1].posterior.covariance.diagonal(),
                                rtol=1e-5)
     what_if.factor.value = 1.0
-    what_if.explorer.half_step, what_if.explorer.landmark = 21, 9
+    show(10)
+    what_if.explorer.landmark = 9
     what_if.leave_out.value = LANDMARK
     assert what_if.left_out == (LANDMARK, 9)
-    seen = [step.k for step in what_if.steps() if 9 in step.innovation.ids]
+    seen = [step.k for step in what_if.after if 9 in step.innovation.ids]
     assert not seen
     assert any(9 in step.born for step in what_if.after)
-    what_if.explorer.half_step = 41
+    show(20)
     ratios = what_if.ratios()
     assert ratios["9"] == max(ratios.values()) > 1.5
     assert np.mean([ratio > 1 for name, ratio in ratios.items() if name != "9"]) > 0.7
@@ -419,10 +463,15 @@ def test_what_if_runs_the_filter_again(drive, runs):
     assert len(what_if.after[20].innovation.ids) == 0
     assert what_if.after[20].posterior.pose_covariance[0, 0] > runs["right"][20].posterior.pose_covariance[0, 0]
     assert what_if.ratios()["pose"] > 1.1
-    what_if.explorer.half_step = 50  # the text keeps saying what was left out
+    show(25)  # the text keeps saying what was left out
     assert "Without frame 20" in what_if.text.value
     what_if.leave_out.value = NOTHING
     assert what_if.left_out is None
+    show(12)  # its births come a frame later: one half-step more, and the same one is shown
+    what_if.leave_out.value = FRAME
+    labels = what_if.explorer.header["labels"]
+    assert (what_if.explorer.n, labels[what_if.explorer.half_step]) == (131, "frame 12, 1.2 s, born")
+    assert "nothing changes, no birth here" in what_if.explorer.caption(what_if.explorer.half_step, 1)
 
 
 @pytest.mark.parametrize("error_state", [RightPerturbation(), RightInvariant()])

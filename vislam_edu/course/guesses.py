@@ -2,6 +2,7 @@
 
     drift = guess("How far off is dead reckoning after 500 m?", "m")  # a cell of its own, before the result
     drift.compare(error[-1])                                          # in the cell of the result
+    your_guesses()                                                    # at the end of the chapter: all of them
 
 The answers stand in `guesses.json`, in the folder in which the notebook runs. Where nobody can answer (nbval,
 nbconvert, `tools/notebooks.py`) nothing is asked, read or printed: no stored output depends on what somebody guessed.
@@ -17,6 +18,7 @@ from ..recordings import files
 
 FILE = "guesses.json"
 GUESSED = "guessed"  # the tag of a cell whose result the reader guesses first
+COMPARED: dict[str, str] = {}  # the questions of this notebook, and what was printed for each
 
 
 @dataclass(frozen=True)
@@ -35,7 +37,9 @@ class Guess:
         """Print the answer beside the value, a number in the question's unit or words; nothing where none was given."""
         if can_answer() and (answer := kept().get(self.question)):
             here = value if isinstance(value, str) else two_digits(value)
-            print(f"Your guess: {answer} {self.unit}".rstrip() + f". Here: {here} {self.unit}".rstrip() + ".")
+            COMPARED[self.question] = (f"Your guess: {answer} {self.unit}".rstrip()
+                                       + f". Here: {here} {self.unit}".rstrip() + ".")
+            print(COMPARED[self.question])
 
 
 def guess(question: str, unit: str = "") -> Guess:
@@ -49,6 +53,12 @@ def guess(question: str, unit: str = "") -> Guess:
 
         display(field(asked))
     return asked
+
+
+def your_guesses() -> None:
+    """Print the questions answered in this notebook, each with its answer and its value."""
+    for question, line in COMPARED.items():
+        print(f"{question}\n    {line}")
 
 
 def field(asked: Guess):

@@ -5,6 +5,6 @@ Here lives everything that reacts. A widget works without a browser too, so that
 
 from .explorer import BOTH, Explorer
 from .history import PathBelief
-from .panel import UNSEEN, Panel
+from .panel import Panel
 
-__all__ = ["BOTH", "UNSEEN", "Explorer", "Panel", "PathBelief"]
+__all__ = ["BOTH", "Explorer", "Panel", "PathBelief"]

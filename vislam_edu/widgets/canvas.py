@@ -57,7 +57,7 @@ class Switch:
 class Choice:
     """A control that is one of some names: its label, the name that it starts with, and all of them.
 
-    Raises ValueError when the first is not among them.
+    Up to four names are buttons side by side, more are a list. Raises ValueError when the first is not among them.
     """
 
     label: str

@@ -270,7 +270,7 @@ function theme(el) {
 function drawMap(canvas, look, history, run) {
   const { ctx, w, h } = prepare(canvas), c = look.colours;
   const shot = snapshot(run, look.i), before = look.i > 0 ? snapshot(run, look.i - 1) : null;
-  const seen = sights(run, look.i), updated = history.updated[look.i];
+  const seen = sights(run, look.i), updated = history.stage[look.i];
   const side = look.inset ? insetSide(w) : 0, place = mapPlace(look, history.bounds, w, h, shot.pose, side);
   const X = (x) => w / 2 + place.k * (x - place.x), Y = (y) => h / 2 - place.k * (y - place.y);
   const shown = { k: place.k, magnify: look.magnify, landmarks: [], triangulated: {}, before: 0, lines: 0 };
@@ -338,11 +338,12 @@ function drawMap(canvas, look, history, run) {
       numbered.push({ id: s.id, x, y });
     }
   }
-  shown.numbers = drawNumbers(ctx, numbered, look, c.measured);
+  shown.numbers = drawNumbers(ctx, numbered, look, c.measured, w);
   if (Number.isFinite(shot.pose[0])) drawCar(ctx, X(shot.pose[0]), Y(shot.pose[1]), shot.pose[3], look);
   mapLegend(ctx, look, history, place.k, w, h);
   if (Object.keys(shown.triangulated).length) {
-    label(ctx, "new, dashed: triangulation alone; the rest is the pose's share", 6, h - 28, c.accepted, look.paper);
+    const words = ["new, dashed: triangulation alone;", "the rest is the pose's share"], lines = w > 360 ? [words.join(" ")] : words;
+    lines.forEach((text, line) => label(ctx, text, 6, h - 28 - 13 * (lines.length - 1 - line), c.accepted, look.paper));
   }
   if (run.captions[look.i].startsWith("nothing changes")) label(ctx, "nothing changes in this half-step", 6, h - 28, c.prior, look.paper);
   if (side) {
@@ -350,21 +351,23 @@ function drawMap(canvas, look, history, run) {
   }
   shown.pose = [...shot.pose];
   const [forward, left, heading] = shown.inset ? shown.inset.sigmas : [];
-  shown.words = `car at ${short(shot.pose[0])}, ${short(shot.pose[1])} m${shown.inset
+  const [east, north] = [...shot.pose].map((v) => short(Number(v.toFixed(3)))); // to a millimetre
+  shown.words = `car at ${east}, ${north} m${shown.inset
     ? `, σ ${metres(forward)} forward, ${metres(left)} left, heading ${short(heading * 180 / Math.PI)}°` : ""}; `
-    + `${shown.landmarks.length} landmarks`;
+    + `${shown.landmarks.length} landmarks${shot.born.length ? `, new: ${shot.born.join(", ")}` : ""}`;
   return shown;
 }
 
 /** The numbers of landmarks, the chosen one first; one that would cover another is left out. Returns their boxes. */
-function drawNumbers(ctx, landmarks, look, colour) {
+function drawNumbers(ctx, landmarks, look, colour, w) {
   const taken = [];
   for (const { id, x, y } of [...landmarks].sort((a, b) => (b.id === look.chosen) - (a.id === look.chosen))) {
-    const box = { id, left: x + 4, right: x + 6 + ctx.measureText(id).width, top: y - 14, bottom: y - 3 };
+    const wide = ctx.measureText(id).width + 2, left = x < w ? Math.min(x + 4, w - wide) : x + 4;
+    const box = { id, left, right: left + wide, top: y - 14, bottom: y - 3 };
     if (taken.some((other) => box.left < other.right && other.left < box.right
                               && box.top < other.bottom && other.top < box.bottom)) continue;
     taken.push(box);
-    label(ctx, String(id), x + 4, y - 4, id === look.chosen ? colour : look.ink, look.paper);
+    label(ctx, String(id), left, y - 4, id === look.chosen ? colour : look.ink, look.paper);
   }
   return taken;
 }
@@ -390,7 +393,7 @@ function pathUpTo(run, history, i) {
   if (run.path) return { points: rows(run, "path", run.path_first[i], run.path_first[i + 1]) };
   const points = [];
   for (let j = 0; j <= i; j++) {
-    if (history.updated[j] || j === i) points.push(run.pose[4 * j], run.pose[4 * j + 1]);
+    if (history.stage[j] || j === i) points.push(run.pose[4 * j], run.pose[4 * j + 1]);
   }
   return { points };
 }
@@ -513,17 +516,18 @@ function mapLegend(ctx, look, history, k, w, h) {
  * Scales of the magnified pose in every snapshot, the same for all runs that are shown: half of its side, m, and the
  * half angle, rad, that is drawn as 1 rad. They stay over the run, or step by a factor of ten where nothing could be seen.
  */
-function poseScales(runs, n) {
-  const reach = Array(n).fill(0), turn = Array(n).fill(0);
+function poseScales(runs, stage) {
+  const reach = stage.map(() => 0), turn = stage.map(() => 0);
   for (const run of runs) {
-    for (let i = 0; i < n; i++) {
+    for (let i = 0; i < stage.length; i++) {
       const p = rows(run, "inset", i), away = Math.hypot(p[8], p[9]);
       const largest = RADIUS * Math.max(...[0, 4].map((at) => ellipseOf(p[at], p[at + 1], p[at + 2]).a || 0));
       reach[i] = Math.max(reach[i], 1.1 * largest, away < 8 * largest ? 1.1 * away : 0); // farther: it jumped
       turn[i] = Math.max(turn[i], 1.96 * Math.max(p[3] || 0, p[7] || 0));
     }
   }
-  return { half: ladder(reach), turn: ladder(turn) };
+  const [half, angle] = [reach, turn].map((all) => ladder(all.map((v, i) => all[stage[i] === 2 ? i - 1 : i]))); // a birth leaves the pose
+  return { half, turn: angle };
 }
 
 /** A scale for each of the values, none above its scale: that of the largest, or smaller by powers of ten. */
@@ -558,14 +562,14 @@ function drawPoseInset(ctx, look, history, run, { x: x0, y: y0, side }) {
   ctx.clip();
   // Ellipses are given with x forward, y left; on the screen forward is up: a quarter turn.
   const turned = (e) => ({ ...e, angle: e.angle + Math.PI / 2 });
-  wedge(ctx, X(p[9]), Y(p[8]), p[10], Math.min(1.96 * p[3] * widen, 1.5), 0.42 * side, history.updated[look.i] ? run.ellipse : c.prior);
+  wedge(ctx, X(p[9]), Y(p[8]), p[10], Math.min(1.96 * p[3] * widen, 1.5), 0.42 * side, history.stage[look.i] ? run.ellipse : c.prior);
   tracePath(ctx, X(0), Y(0), turned(was), k);
   ctx.strokeStyle = c.prior;
   ctx.lineWidth = 1.2;
   ctx.setLineDash([3, 2]);
   ctx.stroke();
   ctx.setLineDash([]);
-  if (history.updated[look.i]) {
+  if (history.stage[look.i] === 1) {
     ctx.strokeStyle = c.measured;
     ctx.lineWidth = 1;
     for (const s of seen) {
@@ -576,7 +580,7 @@ function drawPoseInset(ctx, look, history, run, { x: x0, y: y0, side }) {
     }
   }
   tracePath(ctx, X(p[9]), Y(p[8]), turned(now), k);
-  ctx.strokeStyle = history.updated[look.i] ? run.ellipse : c.prior;
+  ctx.strokeStyle = history.stage[look.i] ? run.ellipse : c.prior;
   ctx.lineWidth = 2;
   ctx.stroke();
   ctx.fillStyle = look.ink;
@@ -613,7 +617,7 @@ function drawPoseInset(ctx, look, history, run, { x: x0, y: y0, side }) {
 function drawPose(canvas, look, history, run) {
   const { ctx, w, h } = prepare(canvas), side = Math.min(w - 150, h) - 4, c = look.colours;
   const shown = drawPoseInset(ctx, look, history, run, { x: 2, y: 2, side });
-  const words = [[history.updated[look.i] ? "pose, updated" : "pose, predicted", history.updated[look.i] ? run.ellipse : c.prior],
+  const words = [[history.stage[look.i] ? "pose, updated" : "pose, predicted", history.stage[look.i] ? run.ellipse : c.prior],
     ["dashed: before this", c.prior], [history.unit, c.prior], ["lines: what each", c.measured], ["landmark pulls", c.measured],
     ["+ truth", c.truth], ["forward is up", look.ink], ["ellipse: 95 %", look.ink], ["sector: heading", look.ink]];
   words.forEach(([text, colour], line) => label(ctx, text, side + 12, 16 + 15 * line, colour, look.paper));
@@ -677,15 +681,17 @@ function drawMatrix(canvas, look, history, run) {
 function drawBlocks(canvas, look, history, run) {
   const { ctx, w, h } = prepare(canvas), shot = snapshot(run, look.i), at = shot.ids.indexOf(look.chosen);
   const what = { correlation: "correlation", covariance: "covariance", change: "change of the covariance" }[look.reading];
-  const shown = { id: look.chosen, values: [], words: `landmark ${look.chosen}: ${what} with itself and the pose` };
+  const units = look.reading === "correlation" ? "" : ` (m²; ${run.rows[1].slice(3, 6).join(", ")}: m · rad)`;
+  const words = [`landmark ${look.chosen}: ${what}`, `with itself and the pose${units}`];
+  const shown = { id: look.chosen, values: [], words: words.join(" ") };
   if (at < 0) {
     label(ctx, look.chosen < 0 ? "Click a landmark." : `Landmark ${look.chosen} is not in the state now.`, 4, 11, look.ink, look.paper);
     return shown;
   }
-  label(ctx, shown.words, 4, 11, look.colours.measured, look.paper);
+  words.forEach((text, line) => label(ctx, text, 4, 11 + 13 * line, look.colours.measured, look.paper));
   const all = readMatrix(run, look), d = shot.sigma.length, t = 3 * shot.n, own = [0, 1, 2].map((u) => 3 * at + u);
-  const columns = [...own, ...Array.from({ length: 6 }, (_, u) => t + u)], x0 = 44, y0 = 72, cell = (w - x0 - 28) / 9, high = (h - y0 - 4) / 3;
-  const name = (row) => (row < t ? run.rows[0][row - own[0]] : run.rows[1][row - t]) + (look.reading === "correlation" ? "" : ` (${rowUnit(run, shot, row)})`);
+  const columns = [...own, ...Array.from({ length: 6 }, (_, u) => t + u)], x0 = 20, y0 = 72, cell = (w - x0 - 16) / 9, high = (h - y0 - 4) / 3;
+  const name = (row) => (row < t ? run.rows[0][row - own[0]] : run.rows[1][row - t]);
   columns.forEach((column, j) => {
     ctx.save();
     ctx.translate(x0 + cell * (j + 0.5), y0 - 4);
@@ -701,10 +707,10 @@ function drawBlocks(canvas, look, history, run) {
       ctx.fillStyle = Number.isNaN(value) ? look.colours.faded : css(shade(look.table, strength));
       ctx.fillRect(x0 + cell * j + gap, y0 + high * i, cell - 1, high - 1);
       ctx.fillStyle = Math.abs(strength) > 0.55 ? "#ffffff" : look.dark && !Number.isNaN(value) ? "#e8e8e8" : "#1a1a1a";
-      ctx.font = "10px system-ui, sans-serif";
+      ctx.font = `${cell < 29 ? 9 : 10}px system-ui, sans-serif`;
       ctx.textAlign = "center";
-      const text = Number.isNaN(value) ? "new" : look.reading === "correlation" ? value.toFixed(2) : value.toExponential(0);
-      ctx.fillText(text.replaceAll("-", "−"), x0 + cell * (j + 0.5) + gap, y0 + high * (i + 0.6));
+      const text = Number.isNaN(value) ? "new" : look.reading === "correlation" ? value.toFixed(2) : value ? value.toExponential(0).replace("e+0", "") : "0";
+      ctx.fillText(text.replaceAll("-", "−"), x0 + cell * (j + 0.5) + gap, y0 + high * (i + 0.6), cell - 3);
       ctx.font = "11px system-ui, sans-serif";
     });
   });
@@ -714,20 +720,17 @@ function drawBlocks(canvas, look, history, run) {
 
 /** The numbers that the matrix shows, (d, d) row by row; NaN for a change of rows that are new. */
 function readMatrix(run, look) {
-  const shot = snapshot(run, look.i), d = shot.sigma.length, values = new Float32Array(d * d);
-  const read = look.reading === "correlation" ? correlation : covariance;
-  for (let r = 0; r < d; r++) {
-    for (let q = r; q < d; q++) values[r * d + q] = values[q * d + r] = read(shot, r, q);
-  }
-  if (look.reading !== "change") return values;
-  const before = look.i > 0 ? snapshot(run, look.i - 1) : null, from = new Int32Array(d).fill(-1);
+  const shot = snapshot(run, look.i), d = shot.sigma.length, values = new Float64Array(d * d);
+  const change = look.reading === "change", read = look.reading === "correlation" ? correlation : covariance;
+  const before = change && look.i > 0 ? snapshot(run, look.i - 1) : null, from = new Int32Array(d).fill(-1);
   for (let r = 0; before && r < d; r++) {
     const j = r < 3 * shot.n ? before.ids.indexOf(shot.ids[Math.floor(r / 3)]) : before.n;
     from[r] = j < 0 ? -1 : r < 3 * shot.n ? 3 * j + (r % 3) : 3 * before.n + r - 3 * shot.n;
   }
   for (let r = 0; r < d; r++) {
-    for (let q = 0; q < d; q++) {
-      values[r * d + q] = from[r] < 0 || from[q] < 0 ? NaN : values[r * d + q] - covariance(before, from[r], from[q]);
+    for (let q = r; q < d; q++) {
+      const was = !change ? 0 : from[r] < 0 || from[q] < 0 ? NaN : covariance(before, from[r], from[q]);
+      values[r * d + q] = values[q * d + r] = read(shot, r, q) - was;
     }
   }
   return values;
@@ -787,7 +790,7 @@ function drawColourBar(ctx, look, history, w, h) {
   }
   ctx.fillStyle = look.ink;
   ctx.textBaseline = "middle";
-  for (const v of barTicks(look, history.scale)) {
+  for (const v of barTicks(look, history.scale, below ? 1 : 3)) {
     const text = look.reading === "correlation" ? String(v).replace("-", "−") : power(v);
     if (below) label(ctx, text, x + length - at(look.toScale(v)), y + 16, look.ink, look.paper, "center");
     else ctx.fillText(text, x + 13, y + at(look.toScale(v)));
@@ -798,10 +801,10 @@ function drawColourBar(ctx, look, history, w, h) {
   else ["m², rad²,", "m · rad"].forEach((unit, line) => ctx.fillText(unit, x - 6, 10 + 11 * line));
 }
 
-/** Numbers to write at the colour bar. */
-function barTicks(look, { low, high }) {
+/** Numbers to write at the colour bar: of a covariance zero, and n powers of ten to each side. */
+function barTicks(look, { low, high }, n) {
   if (look.reading === "correlation") return [1, 0.5, 0, -0.5, -1];
-  const powers = [], top = Math.floor(Math.log10(high)), step = Math.max(1, Math.ceil((top - Math.log10(low)) / 3));
+  const powers = [], top = Math.floor(Math.log10(high)), step = Math.max(1, Math.ceil((top - Math.log10(low)) / n));
   for (let p = top; p > Math.log10(low) + 0.7; p -= step) powers.push(10 ** p);
   return [...powers, 0, ...powers.map((v) => -v)];
 }
@@ -845,13 +848,13 @@ function drawLandmark(canvas, look, history, runs) {
   const now = runs.map((run) => snapshot(run, look.i)), at = now.map((s) => s.ids.indexOf(look.chosen));
   shown.axes = now.map((s, r) => (at[r] < 0 ? null : [...s.axes.subarray(3 * at[r], 3 * at[r] + 3)]));
   const words = [[`landmark ${look.chosen}: `, c.measured], ...(shown.axes[0]
-    ? shown.axes[0].map((v, axis) => [`${["σ longest", "middle", "shortest"][axis]} ${metres(v)}${axis < 2 ? ", " : " "}`, hues[axis]])
+    ? shown.axes[0].map((v, axis) => [`${axis ? "" : "σ longest "}${metres(v)}${axis < 2 ? ", " : ""}`, hues[axis]])
     : [["not in the state now", look.ink]])];
   labels(ctx, 4, 11, look, words);
   shown.words = words.map(([text]) => text).join("");
   if (at[0] >= 0 && runs[0].matrix) {
     shown.shares = shares(runs[0], now[0], at[0]);
-    shown.words += shown.shares;
+    shown.words += `; ${shown.shares}`;
     label(ctx, shown.shares + (runs.length > 1 ? `; dashed: ${runs[1].name}` : ""), 4, 24, look.ink, look.paper);
   }
   return shown;
@@ -901,7 +904,7 @@ function landmarkEvents(ctx, plot, history, run, look, { sigmas }, events) {
       events.push([i, "retired"]);
       label(ctx, "×", x - 4, y + 4, c.rejected, look.paper);
     }
-    if (!history.updated[i] || !sigmas[i]) continue;
+    if (history.stage[i] !== 1 || !sigmas[i]) continue;
     const s = sights(run, i).find((one) => one.id === look.chosen);
     if (!s) continue;
     events.push([i, s.accepted ? "update" : "kept out"]);
@@ -942,10 +945,10 @@ function drawSeries(ctx, look, history, runs, at, area, axis) {
     const { values, low, high, stair } = run.series[at], hue = runs.length > 1 ? run.colour : c.predicted;
     plot.ticks(history, run, low, high, runs.length > 1 ? run.colour : c.prior);
     ctx.setLineDash([4, 3]);
-    plot.line(history.updated.map((u, i) => (u ? low[i] : null)), run, runs.length > 1 ? run.colour : c.expected, 1);
-    plot.line(history.updated.map((u, i) => (u ? high[i] : null)), run, runs.length > 1 ? run.colour : c.expected, 1);
+    plot.line(history.stage.map((stage, i) => (stage ? low[i] : null)), run, runs.length > 1 ? run.colour : c.expected, 1);
+    plot.line(history.stage.map((stage, i) => (stage ? high[i] : null)), run, runs.length > 1 ? run.colour : c.expected, 1);
     ctx.setLineDash([]);
-    plot.line(history.updated.map((u, i) => (u || stair ? values[i] : null)), run, hue, 1.6);
+    plot.line(history.stage.map((stage, i) => (stage || stair ? values[i] : null)), run, hue, 1.6);
     plot.dot(run.time[look.i], values[look.i], hue);
   }
   plot.cursor(runs[0], look.i);
@@ -960,7 +963,7 @@ function seriesRange(history, series) {
   const all = [], bands = [];
   for (const s of series) {
     for (let i = 0; i < history.n; i++) {
-      if (!history.updated[i] && !s.stair) continue;
+      if (!history.stage[i] && !s.stair) continue;
       if (Number.isFinite(s.values[i])) all.push(s.values[i]);
       for (const edge of [s.low[i], s.high[i]]) if (Number.isFinite(edge)) bands.push(edge);
     }
@@ -988,7 +991,7 @@ function plotArea(ctx, look, history, area, range, unit, axis = true) {
     ctx.moveTo(area.x, y); ctx.lineTo(area.x + area.w, y);
     ctx.stroke();
     const inside = Math.min(Math.max(y, area.y + 5), area.y + area.h - (axis ? 0 : 4)); // clear of what is written above and below
-    label(ctx, `${short(v)}${unit ? ` ${unit}` : ""}`, area.x - 4, inside, look.ink, look.paper, "right");
+    label(ctx, `${short(v)}${unit ? ` ${unit}` : ""}`, area.x - 7, inside, look.ink, look.paper, "right");
   }
   ctx.textBaseline = "alphabetic";
   if (axis) {
@@ -1029,7 +1032,7 @@ function plotArea(ctx, look, history, area, range, unit, axis = true) {
       ctx.lineWidth = 1;
       ctx.beginPath();
       for (let i = 0; i < h.n; i++) {
-        if (h.updated[i] || !h.updated[i + 1] || low[i] === low[i + 1]) continue;
+        if (h.stage[i] || !h.stage[i + 1] || low[i] === low[i + 1]) continue;
         for (const v of [low[i], high[i]]) { ctx.moveTo(X(run.time[i]) - 2, Y(v)); ctx.lineTo(X(run.time[i]) + 2, Y(v)); }
       }
       ctx.stroke();
@@ -1052,16 +1055,16 @@ function plotArea(ctx, look, history, area, range, unit, axis = true) {
   };
 }
 
-/** Round numbers from low to high, about n of them. */
+/** Round numbers from low to high, about n of them, two at least. */
 function steps(low, high, n) {
   const step = niceAbove((high - low) / Math.max(n, 1)), found = [];
   for (let v = Math.ceil(low / step) * step; v <= high + 1e-9 * step; v += step) found.push(Math.abs(v) < step / 1e6 ? 0 : v);
-  return found;
+  return found.length > 1 || n > 50 ? found : steps(low, high, 2 * Math.max(n, 1));
 }
 
-/** At most about n powers of ten in a range, and 2 and 5 times them where it spans less than two. */
+/** At most about n powers of ten in a range, and numbers between them where it spans less than two. */
 function decades({ y0, y1 }, n) {
-  const found = [], factors = y1 / y0 < 30 ? [1, 2, 5] : [1], every = Math.ceil(Math.log10(y1 / y0) / n);
+  const found = [], span = y1 / y0, factors = span < 5 ? [1, 1.5, 2, 3, 4, 5, 7] : span < 30 ? [1, 2, 5] : [1], every = Math.ceil(Math.log10(y1 / y0) / n);
   for (let p = Math.floor(Math.log10(y0)); p <= Math.log10(y1); p++) {
     if (p % Math.max(every, 1)) continue;
     for (const m of factors) if (m * 10 ** p >= y0 * 0.999 && m * 10 ** p <= y1 * 1.001) found.push(m * 10 ** p);
@@ -1076,7 +1079,7 @@ function decades({ y0, y1 }, n) {
 function drawImage(canvas, look, history, run) {
   const { ctx, w, h } = prepare(canvas), c = look.colours, seen = sights(run, look.i);
   const [width, height] = history.image, k = Math.min((w - 12) / width, (h * 0.52 - 16) / height), x0 = 6, y0 = 16;
-  const updated = history.updated[look.i], X = (u) => x0 + k * u, Y = (v) => y0 + k * v;
+  const updated = history.stage[look.i], X = (u) => x0 + k * u, Y = (v) => y0 + k * v;
   const shown = { measured: [], enlarged: 0, chosen: null };
   ctx.strokeStyle = c.faded;
   ctx.lineWidth = 1;
@@ -1161,7 +1164,7 @@ const STYLE = `
   --vx-focus: #8ab4f8; color-scheme: dark; }
 .vx[data-theme=light] { color-scheme: light; }
 .vx-bar { display: flex; flex-wrap: wrap; gap: 3px 10px; align-items: center; margin: 2px 0; }
-.vx-bar label { display: inline-flex; gap: 4px; align-items: center; white-space: nowrap; }
+.vx-bar label { display: inline-flex; gap: 6px; align-items: center; white-space: nowrap; }
 .vx button, .vx select { font: inherit; color: inherit; background: transparent; border: 1px solid var(--vx-edge);
   border-radius: 3px; min-width: 26px; min-height: 24px; padding: 0 5px; cursor: pointer; }
 .vx option { color: var(--vx-ink); background: Canvas; }
@@ -1279,7 +1282,7 @@ function render({ model, el }) {
     const all = history.runs, drawn = two ? all : [all[Math.min(look.show, all.length - 1)]], some = drawn[0];
     const top = wide ? 286 : 250, low = wide ? 166 : 170;
     const list = [];
-    look.scales = poseScales(drawn, history.n);
+    look.scales = poseScales(drawn, history.stage);
     const known = Number.isFinite(rows(some, "inset", history.n - 1)[0]); // the pose's covariance
     look.apart = known && !two && !some.first[some.first.length - 1];
     look.inset = known && !look.apart;
@@ -1474,7 +1477,7 @@ function render({ model, el }) {
     const t = time[0] + share * (time[history.n - 1] - time[0]);
     let best = look.i, reach = Infinity;
     for (let i = 0; i < history.n; i++) {
-      if (history.updated[i] && Math.abs(time[i] - t) < reach) [best, reach] = [i, Math.abs(time[i] - t)];
+      if (history.stage[i] && Math.abs(time[i] - t) < reach) [best, reach] = [i, Math.abs(time[i] - t)];
     }
     return best;
   }
@@ -1500,6 +1503,7 @@ function render({ model, el }) {
   const onData = () => {
     onData.last = model.get("data");
     history = unpack(model.get("header"), model.get("data"));
+    look.i = model.get("half_step"); // the same frame; another run may have more half-steps
     recolour();
     build();
   };

@@ -44,7 +44,7 @@ class Explorer(anywidget.AnyWidget):
         dict {name: ErrorState}.
     world_T_imu : (T, 4, 4), the poses given to a filter that estimates a map only.
     name : of the run, shown in the widget's text.
-    start : the half-step to begin with (2k is frame k predicted, 2k + 1 is frame k updated); the last by default.
+    start : the frame to begin with, after its last half-step; the last frame by default.
     landmark : id of the landmark that is chosen at first; by default the one that stays longest.
     show : which run, 0 or 1, or `BOTH`; of two runs both by default.
     quantity : what is drawn through time at first: "forward error" (the default), "left error", "heading error",
@@ -81,7 +81,9 @@ class Explorer(anywidget.AnyWidget):
                  error_state: ErrorState | Mapping[str, ErrorState] | None = None, *, world_T_imu=None,
                  name: str = "filter", start: int | None = None, landmark: int | None = None, show: int | None = None,
                  quantity: str | None = None):
-        self._open(_histories(steps, drive, error_state, world_T_imu, name), drive, start, landmark, show, quantity)
+        histories = _histories(steps, drive, error_state, world_T_imu, name)
+        start = None if start is None else histories[0].at(start)
+        self._open(histories, drive, start, landmark, show, quantity)
 
     def _open(self, histories: list[History], drive, start, landmark, show, quantity=None):
         """Pack the histories and open the widget."""
@@ -107,7 +109,7 @@ class Explorer(anywidget.AnyWidget):
         frames : n frames of the drive, those of the beliefs' (last) poses; by default its last frame.
         captions : n texts, by default what changed from one belief to the next.
         series : {name: n numbers} to be drawn below, such as the cost of each iteration; on a logarithmic scale where
-        they span more than a factor of 100. start, landmark : as above.
+        they span more than a factor of 100. start : the belief to begin with. landmark : as above.
         Raises ValueError when labels and beliefs differ in number or the data are too large.
 
         Example: `Explorer.from_beliefs([f"iteration {i}" for i in range(n)], beliefs, drive, series={"cost": costs})`.
@@ -121,8 +123,9 @@ class Explorer(anywidget.AnyWidget):
     def update(self, steps: Iterable | Mapping[str, Iterable],
                error_state: ErrorState | Mapping[str, ErrorState] | None = None) -> None:
         """Show other steps of the same drive in the same place; what is chosen stays chosen. Arguments as above."""
+        now = self.histories[0].snapshots[self.half_step]
         self.histories = _histories(steps, self.drive, error_state, None, self.histories[0].name)
-        start = min(self.half_step, len(self.histories[0].snapshots) - 1)
+        start = self.histories[0].at(now.frame, now.stage)
         header, data = packing.pack(self.histories, self.drive, start, self.landmark, self.show,
                                     self.header["quantity"])
         with self.hold_sync():
@@ -170,11 +173,13 @@ class Explorer(anywidget.AnyWidget):
 
 def _histories(steps, drive, error_state, world_T_imu, name) -> list[History]:
     """One history, or one for each entry of a dict."""
-    runs = steps if isinstance(steps, Mapping) else {name: steps}
+    runs = {key: tuple(one) for key, one in (steps if isinstance(steps, Mapping) else {name: steps}).items()}
     states = error_state if isinstance(error_state, Mapping) else dict.fromkeys(runs, error_state)
     if not 1 <= len(runs) <= BOTH:
         raise ValueError(f"an explorer shows one run or two, got {len(runs)}")
-    made = [history.from_steps(key, one, drive, states.get(key), world_T_imu=world_T_imu) for key, one in runs.items()]
+    births = {step.k for one in runs.values() for step in one if len(history.born_last(step))}
+    made = [history.from_steps(key, one, drive, states.get(key), world_T_imu=world_T_imu, births=births)
+            for key, one in runs.items()]
     if made[0].colour == made[-1].colour:
         made[1:] = [replace(one, colour="report") for one in made[1:]]
     return made

@@ -1,23 +1,25 @@
 """The history of a filter as a list of snapshots: what the explorer shows, before it is packed for the browser.
 
-A frame of a filter gives two snapshots, its belief before and after the update. A batch estimate gives one per
-iteration, a loop closure one per pair that is fused.
+A frame of a filter gives two snapshots, its belief before and after the update, and a third where landmarks are born.
+A batch estimate gives one per iteration, a loop closure one per pair that is fused.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
 from .. import kalman, metrics, se3
-from ..belief import Belief, Step
+from ..belief import Belief, Innovation, Step
 from ..drive import Drive
 from ..error_state import ErrorState, fitting, right_pose_covariance, to_right, world_landmark_covariance
 from ..stereo import FOUR_FROM_THREE
 
 NOBODY = np.empty(0, int)
+STAGES = ("predicted", "updated", "born")
 MOTION_ROWS = ["v x", "v y", "v z", "ω x", "ω y", "ω z", "bias x", "bias y", "bias z"]
+POSE_STAYS, MAP_STAYS = "the pose stays as it was", "no landmark ellipse changes"
 POSE_ERRORS = [("forward", 0, 1.0, "m"), ("left", 1, 1.0, "m"), ("heading", 5, 180 / np.pi, "°")]
 
 
@@ -39,56 +41,46 @@ class PathBelief:
 
 
 @dataclass(frozen=True, eq=False)
-class Sight:
-    """The measurements of one frame in the left image, for n landmarks that were predicted.
-
-    ids : (n,). measured, predicted, projected : (n, 2) px: the pixel, where the prior puts it, and where the
-    posterior does. covariance : (n, 2, 2) px^2, S of [u, v]. nis : (n,). accepted : (n,) bool.
-    pulls : (n, 2) m, what each measurement adds to the correction of the position, along the predicted body axes
-    [forward, left]; zero where the gate kept it out.
-    """
-
-    ids: np.ndarray
-    measured: np.ndarray
-    predicted: np.ndarray
-    projected: np.ndarray
-    covariance: np.ndarray
-    nis: np.ndarray
-    accepted: np.ndarray
-    pulls: np.ndarray
-
-
-@dataclass(frozen=True, eq=False)
 class Snapshot:
     """One state of an estimate, everything in world coordinates.
 
     label : where it stands in the history. caption : what led to it, in words, without the label.
-    time : s, or its number. updated : True for a posterior, False for a prediction.
+    time : s, or its number. stage : its place in `STAGES`. frame : of the drive.
     ids : (n,). landmarks : (n, 3) m. landmark_covariance : (n, 3, 3) m^2, of the positions in the world.
     world_T_imu : (4, 4) or None. pose_covariance : (6, 6) as a right perturbation, or None.
     covariance : (3n+t, 3n+t) in the filter's own coordinates, or None. true_world_T_imu : (4, 4) or None.
-    sight : the measurements, or None. born, retired : ids.
+    sight : the measurements, or None. projected : (m, 2) px, where the posterior puts them in the left image.
+    pulls : (m, 2) m, what each adds to the correction of the position, along the predicted body axes [forward, left];
+    zero where the gate kept it out. born, retired : ids.
     triangulated : (b, 3, 3) m^2, covariance that the landmarks born here would have if the pose were known exactly.
     path : (P, 4, 4) and path_covariance : (P, 6, 6), or None where the path is that of the snapshots before.
     """
 
-    label: str
-    time: float
-    updated: bool
     ids: np.ndarray
     landmarks: np.ndarray
     landmark_covariance: np.ndarray
+    label: str = ""
+    time: float = 0.0
     world_T_imu: np.ndarray | None = None
     pose_covariance: np.ndarray | None = None
     covariance: np.ndarray | None = None
     true_world_T_imu: np.ndarray | None = None
-    sight: Sight | None = None
+    sight: Innovation | None = None
+    projected: np.ndarray = field(default_factory=lambda: np.empty((0, 2)))
+    pulls: np.ndarray = field(default_factory=lambda: np.empty((0, 2)))
     born: np.ndarray = field(default_factory=lambda: NOBODY)
     retired: np.ndarray = field(default_factory=lambda: NOBODY)
     triangulated: np.ndarray = field(default_factory=lambda: np.empty((0, 3, 3)))
     path: np.ndarray | None = None
     path_covariance: np.ndarray | None = None
     caption: str = ""
+    stage: int = 1
+    frame: int = 0
+
+    @property
+    def updated(self) -> bool:
+        """Whether it is a posterior."""
+        return self.stage > 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,6 +123,10 @@ class History:
                 return one
         raise KeyError(f"{name!r} is not among {[one.name for one in self.series]}")
 
+    def at(self, frame: int, stage: int = len(STAGES) - 1) -> int:
+        """Number of the last snapshot up to this frame and stage."""
+        return sum((s.frame, s.stage) <= (frame, stage) for s in self.snapshots) - 1
+
     @property
     def covariances(self) -> list[np.ndarray]:
         """The joint covariance of each snapshot; [] where one has none."""
@@ -145,13 +141,14 @@ def all_ids(histories: Sequence[History]) -> np.ndarray:
 
 
 def from_steps(name: str, steps: Iterable[Step], drive: Drive, error_state: ErrorState | None = None, *,
-               world_T_imu: np.ndarray | None = None) -> History:
-    """The history of a filter: two snapshots a step, its prior and its posterior.
+               world_T_imu: np.ndarray | None = None, births: Collection[int] = ()) -> History:
+    """The history of a filter: of each step its prior, its posterior, and that again with the landmarks born last.
 
     steps : `Step`s whose beliefs are a joint `Belief`, a `MapBelief` or a `PoseBelief`.
     drive : the Drive they were run on; its true landmarks are the known map of a filter that estimates a pose only.
     error_state : that of a joint filter, by default `error_state.fitting`.
     world_T_imu : (T, 4, 4), the poses that were given to a filter which estimates a map only.
+    births : frames that get a snapshot of the births even where this filter has none there, as another filter has.
     Raises ValueError for an empty history.
     """
     steps = tuple(steps)
@@ -159,28 +156,30 @@ def from_steps(name: str, steps: Iterable[Step], drive: Drive, error_state: Erro
         raise ValueError(f"{name or 'history'}: an explorer needs at least one step")
     error_state = error_state or fitting(steps[0].posterior)
     snapshots: list[Snapshot] = []
-    nis, numbers = [np.nan], [0]
+    beliefs: list[Any] = []
+    nis, numbers = [np.nan], [np.nan]
     for step in steps:
         truth = drive.true_world_T_imu[step.k] if drive.has_truth else None
         pose = None if world_T_imu is None else world_T_imu[step.k]
-        sight = look(step, drive, error_state, pose)
-        value, count = frame_nis(step, drive, error_state, pose)
-        nis += [value, value]
-        numbers += [count, count]
-        for belief, updated in ((step.prior, False), (step.posterior, True)):
-            now = replace(of_belief(belief, error_state, pose), time=float(step.time), updated=updated, sight=sight,
-                          label=f"frame {step.k}, {step.time:.1f} s, {'updated' if updated else 'predicted'}",
-                          born=step.born if updated else NOBODY, retired=NOBODY if updated else step.retired,
-                          true_world_T_imu=truth)
-            if len(now.born) and hasattr(belief, "points"):
-                now = replace(now, triangulated=given_the_pose(belief, error_state)[np.searchsorted(now.ids, now.born)])
+        new, after = born_last(step), of_belief(step.posterior, error_state, pose)
+        seen, (value, count) = look(step, after, drive, error_state, pose), frame_nis(step, drive, error_state, pose)
+        half_steps = [(step.prior, of_belief(step.prior, error_state, pose), np.setdiff1d(step.born, new)),
+                      (step.posterior, without(after, new), NOBODY), (step.posterior, after, new)]
+        for stage, (belief, now, born) in enumerate(half_steps[:3 if len(new) or step.k in births else 2]):
+            now = replace(now, **seen, time=float(step.time), stage=stage, frame=step.k, born=born,
+                          label=f"frame {step.k}, {step.time:.1f} s, {STAGES[stage]}",
+                          retired=NOBODY if stage else step.retired, true_world_T_imu=truth)
+            if len(born) and hasattr(belief, "points"):
+                now = replace(now, triangulated=given_the_pose(belief, error_state)[np.searchsorted(now.ids, born)])
             snapshots.append(replace(now, caption=describe(snapshots[-1] if snapshots else None, now, pose is None)))
+            beliefs.append(belief)
+            nis.append(value)
+            numbers.append(count)
     # Until the update of a frame, the NIS of the frame before stands.
-    summed = np.where(np.array(numbers[:-1]) > 0, numbers[:-1], np.nan)
-    nis_series = Series("NIS / landmark", "4 is honest", 4 * np.array(nis[:-1]) / summed, *4 * nis_band(summed))
-    series = [*pose_series(snapshots), nis_series]
+    honest = Series("NIS / landmark", "4 is honest", 4 * np.divide(nis, numbers)[:-1], *4 * nis_band(numbers[:-1]))
+    series = [*pose_series(snapshots), honest]
     if truth is not None and snapshots[0].pose_covariance is not None:
-        series.insert(-1, nees_series(steps, drive, error_state))
+        series.insert(-1, nees_series(beliefs, snapshots, error_state))
     return History(name, error_state.role, "half-step", "time (s)", row_names(snapshots, error_state),
                    tuple(snapshots), tuple(series))
 
@@ -196,12 +195,11 @@ def from_beliefs(labels: Sequence[str], beliefs: Sequence[Any], drive: Drive, *,
     snapshots: list[Snapshot] = []
     for i, (label, belief, k) in enumerate(zip(labels, beliefs, frames)):
         truth = drive.true_world_T_imu[k] if drive.has_truth else None
-        now = replace(of_belief(belief, error_state), label=label, time=float(i), updated=True, true_world_T_imu=truth)
+        now = replace(of_belief(belief, error_state), label=label, time=float(i), true_world_T_imu=truth)
         before = snapshots[-1] if snapshots else None
         if before is not None:
             now = replace(now, born=np.setdiff1d(now.ids, before.ids), retired=np.setdiff1d(before.ids, now.ids))
-        words = captions[i] if captions else describe(before, now, True)
-        snapshots.append(replace(now, caption=words))
+        snapshots.append(replace(now, caption=captions[i] if captions else describe(before, now, True)))
     nothing = np.full(len(beliefs), np.nan)
     given = [Series(key, "", np.asarray(values, float), nothing, nothing,
                     log=bool(np.nanmax(values) > 100 * np.nanmin(values) > 0))
@@ -212,23 +210,36 @@ def from_beliefs(labels: Sequence[str], beliefs: Sequence[Any], drive: Drive, *,
 
 def of_belief(belief, error_state, pose=None) -> Snapshot:
     """A belief of any of the filters as a snapshot without its place in the history. pose : (4, 4), given, or None."""
-    at: dict[str, Any] = {"label": "", "time": 0.0, "updated": True}
     if isinstance(belief, PathBelief):
         last = None if belief.path_covariance is None else belief.path_covariance[-1]
-        return Snapshot(**at, ids=belief.ids, landmarks=belief.landmarks, world_T_imu=belief.path[-1],
-                        landmark_covariance=belief.landmark_covariance, pose_covariance=last,
-                        covariance=belief.covariance, path=belief.path, path_covariance=belief.path_covariance)
+        return Snapshot(belief.ids, belief.landmarks, belief.landmark_covariance, world_T_imu=belief.path[-1],
+                        pose_covariance=last, covariance=belief.covariance, path=belief.path,
+                        path_covariance=belief.path_covariance)
     if hasattr(belief, "seen"):
         ids = np.flatnonzero(belief.seen)
-        return Snapshot(**at, ids=ids, landmarks=belief.landmarks[ids], landmark_covariance=belief.covariance[ids],
-                        world_T_imu=pose)
+        return Snapshot(ids, belief.landmarks[ids], belief.covariance[ids], world_T_imu=pose)
     if not hasattr(belief, "ids"):
-        return Snapshot(**at, ids=NOBODY, landmarks=np.empty((0, 3)), landmark_covariance=np.empty((0, 3, 3)),
-                        world_T_imu=belief.world_T_imu, pose_covariance=belief.covariance,
-                        covariance=belief.covariance)
-    return Snapshot(**at, ids=belief.ids, landmarks=belief.landmarks, world_T_imu=belief.world_T_imu,
-                    landmark_covariance=world_landmark_covariance(belief, error_state),
-                    pose_covariance=right_pose_covariance(belief, error_state), covariance=belief.covariance)
+        return Snapshot(NOBODY, np.empty((0, 3)), np.empty((0, 3, 3)), world_T_imu=belief.world_T_imu,
+                        pose_covariance=belief.covariance, covariance=belief.covariance)
+    return Snapshot(belief.ids, belief.landmarks, world_landmark_covariance(belief, error_state),
+                    world_T_imu=belief.world_T_imu, covariance=belief.covariance,
+                    pose_covariance=right_pose_covariance(belief, error_state))
+
+
+def born_last(step: Step) -> np.ndarray:
+    """Ids of the landmarks that were born after the step's update: a prior that holds them was born with them."""
+    known = np.flatnonzero(step.prior.seen) if hasattr(step.prior, "seen") else getattr(step.prior, "ids", NOBODY)
+    return np.setdiff1d(step.born, known)
+
+
+def without(now: Snapshot, ids: np.ndarray) -> Snapshot:
+    """The snapshot before these were born, exactly: a birth adds rows, and changes none that are there."""
+    stay, P = ~np.isin(now.ids, ids), now.covariance
+    if P is not None:
+        rows = np.append(np.repeat(stay, 3), np.ones(len(P) - 3 * len(stay), bool))
+        P = P[np.ix_(rows, rows)]
+    return replace(now, ids=now.ids[stay], landmarks=now.landmarks[stay], covariance=P,
+                   landmark_covariance=now.landmark_covariance[stay])
 
 
 def given_the_pose(belief: Belief, error_state: ErrorState) -> np.ndarray:
@@ -278,14 +289,14 @@ def joint(step, drive, error_state, rows, pose=None) -> tuple[np.ndarray, np.nda
     return P, H[rows].reshape(m, -1), S[rows][:, :, rows].reshape(m, m), seen.residual[rows].ravel()
 
 
-def frame_nis(step: Step, drive: Drive, error_state: ErrorState, pose=None) -> tuple[float, int]:
+def frame_nis(step: Step, drive: Drive, error_state: ErrorState, pose=None) -> tuple[float, float]:
     """NIS of a step's whole frame, and how many numbers it sums: four a landmark in front of the camera.
 
-    error_state : of a joint filter. pose : (4, 4), where it was given to the filter. Returns (NaN, 0) for no landmark.
+    error_state : of a joint filter. pose : (4, 4), where it was given to the filter. Returns NaNs for no landmark.
     """
     rows = np.isfinite(step.innovation.nis)
     if not rows.any():
-        return np.nan, 0
+        return np.nan, np.nan
     _, _, S, residual = joint(step, drive, error_state, rows, pose)
     return float(kalman.nis(residual, S)), len(residual)
 
@@ -307,24 +318,14 @@ def pulls(step: Step, drive: Drive, error_state: ErrorState) -> np.ndarray:
     return contribution
 
 
-def look(step, drive, error_state, pose) -> Sight | None:
-    """What the cameras saw in this step's frame, None where nothing was predicted."""
-    seen = step.innovation
-    if len(seen.ids) == 0:
-        return None
-    pull = np.zeros((len(seen.ids), 2)) if pose is not None else pulls(step, drive, error_state)[:, :2]
-    projected = drive.camera.observe(*_pose_and_points(step.posterior, seen.ids, drive, pose))[0]
-    return Sight(seen.ids, seen.measured[:, :2], seen.predicted[:, :2], projected[:, :2], seen.covariance[:, :2, :2],
-                 seen.nis, seen.accepted, pull)
-
-
-def _pose_and_points(belief, ids, drive, pose):
-    """world_T_imu (4, 4) and the landmarks `ids` (n, 3), as this belief has or was given them."""
-    if hasattr(belief, "seen"):
-        return pose, belief.landmarks[ids]
-    if not hasattr(belief, "ids"):
-        return belief.world_T_imu, drive.true_landmarks[ids]
-    return belief.world_T_imu, belief.landmarks[np.searchsorted(belief.ids, ids)]
+def look(step, after, drive, error_state, pose) -> dict[str, Any]:
+    """What the cameras saw in this step's frame, as fields of a snapshot. after : `of_belief` of its posterior."""
+    ids = step.innovation.ids
+    given = len(after.ids) < len(ids)  # the filter holds no landmark
+    points = drive.true_landmarks[ids] if given else after.landmarks[np.searchsorted(after.ids, ids)]
+    pull = np.zeros((len(ids), 2)) if pose is not None else pulls(step, drive, error_state)[:, :2]
+    projected = drive.camera.observe(after.world_T_imu, points)[0][:, :2]
+    return {"sight": step.innovation, "projected": projected, "pulls": pull}
 
 
 def pose_series(snapshots) -> list[Series]:
@@ -341,10 +342,9 @@ def pose_series(snapshots) -> list[Series]:
                      for name, axis, scale, unit in POSE_ERRORS]
 
 
-def nees_series(steps, drive, error_state) -> Series:
+def nees_series(beliefs, snapshots, error_state) -> Series:
     """NEES of the pose in the filter's own error, with the 95 % band of six degrees of freedom."""
-    beliefs = [belief for step in steps for belief in (step.prior, step.posterior)]
-    truth = np.repeat(drive.true_world_T_imu[[step.k for step in steps]], 2, axis=0)
+    truth = np.array([s.true_world_T_imu for s in snapshots])
     claimed = [b.pose_covariance if hasattr(b, "ids") else b.covariance for b in beliefs]
     nees = metrics.pose_nees(error_state, truth, np.array([b.world_T_imu for b in beliefs]), np.array(claimed)).pose
     low, high = metrics.chi2_band(6, probability=0.95)
@@ -367,16 +367,21 @@ def row_names(snapshots, error_state) -> tuple[list[str], list[str]]:
 
 def describe(before: Snapshot | None, now: Snapshot, estimates_pose: bool) -> str:
     """What led from one snapshot to the next, in words and numbers."""
-    if not (estimates_pose or now.updated or len(now.retired)):
+    if STAGES[now.stage] == "born":
+        return f"new: {listed(now.born)}; nothing else changes" if len(now.born) else "nothing changes, no birth here"
+    if not (estimates_pose or now.updated or len(now.retired) or len(now.born)):
         return "nothing changes, because the poses are given and landmarks stand still"
     words = [_pose_words(before, now)] if now.pose_covariance is not None else []
-    if now.updated and now.sight is not None:
-        out = now.sight.ids[~now.sight.accepted]
+    seen = now.sight if now.updated else None
+    if seen is not None and len(seen.ids):
+        out = seen.ids[~seen.accepted]
         what = "the pose" if not len(now.ids) else "the map and the pose" if estimates_pose else "the map"
-        words.insert(0, f"{int(now.sight.accepted.sum())} of {len(now.sight.ids)} measurements correct {what}")
+        words.insert(0, f"{int(seen.accepted.sum())} of {len(seen.ids)} measurements correct {what}")
         words += [f"the gate keeps out {listed(out)}"] if len(out) else []
     if before is not None and len(now.ids):
         words.append(_map_words(before, now))
+    if seen is not None and not len(seen.ids) and {"", POSE_STAYS, MAP_STAYS}.issuperset(words):
+        return "nothing changes, because no landmark of the state is measured"
     words += [f"new: {listed(now.born)}"] if len(now.born) else []
     words += [f"left the state: {listed(now.retired)}"] if len(now.retired) else []
     return "; ".join(filter(None, words)) or "nothing is known yet"
@@ -389,7 +394,7 @@ def _pose_words(before, now) -> str:
         scale, unit = (180 / np.pi, "°") if unit == "°" else (100, " cm")
         shown.append(f"{name} " + " → ".join(f"{scale * s[axis]:.2g}" for s in sigmas) + unit)
     if before is not None and np.allclose(sigmas[0], sigmas[1], rtol=1e-9):
-        return "the pose stays as it was"
+        return POSE_STAYS
     moved = "" if before is None else " shrinks," if sigmas[1].prod() < sigmas[0].prod() else " grows,"
     return f"pose σ{moved} " + ", ".join(shown)
 
@@ -403,7 +408,7 @@ def _map_words(before, now) -> str:
     shrink = longest[1] / longest[0]
     best = int(np.argmin(shrink))
     if abs(shrink[best] - 1) < 1e-3:
-        return "no landmark ellipse changes" if abs(shrink.max() - 1) < 1e-3 else "landmark ellipses grow"
+        return MAP_STAYS if abs(shrink.max() - 1) < 1e-3 else "landmark ellipses grow"
     return f"landmark {common[best]} gains most, σ {longest[0][best]:.2g} → {longest[1][best]:.2g} m"
 
 

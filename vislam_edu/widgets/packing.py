@@ -90,7 +90,7 @@ def pack(histories: list[History], drive, start: int, landmark: int, show: int,
         "n": lengths[0], "unit": histories[0].unit, "axis": histories[0].axis, "start": start, "landmark": landmark,
         "quantity": quantity, "show": show, "ids": ids.tolist(), "image": image_size(histories),
         "labels": [s.label for s in histories[0].snapshots],
-        "updated": [int(s.updated) for s in histories[0].snapshots],
+        "stage": [s.stage for s in histories[0].snapshots],
         "truth": truth(block, drive, ids), "colours": style.both_themes(),
         "runs": [run(block, history) for history in histories]}
     size = block.size + len(json.dumps(header))
@@ -112,7 +112,7 @@ def truth(block, drive, ids) -> dict[str, Any]:
 
 def image_size(histories) -> list[int]:
     """Width and height of the left image, px: the simulated camera's, or larger where a pixel lies outside."""
-    pixels = [s.sight.measured for h in histories for s in h.snapshots if s.sight]
+    pixels = [s.sight.measured[:, :2] for h in histories for s in h.snapshots if s.sight]
     largest = np.max(np.concatenate([*pixels, [IMAGE_SIZE]]), axis=0)
     return [int(np.ceil(edge)) for edge in largest]
 
@@ -175,12 +175,10 @@ def inset(snapshots: tuple[Snapshot, ...], i: int) -> list[float]:
     origin_T_world = se3.inverse(came_from.world_T_imu)
     spreads = []
     for snapshot in (now, came_from):
-        if snapshot.pose_covariance is None:
-            spreads.append([np.nan] * 4)
-            continue
         R = (origin_T_world @ snapshot.world_T_imu)[:3, :3]
-        P = R @ snapshot.pose_covariance[:3, :3] @ R.T
-        spreads.append([P[0, 0], P[0, 1], P[1, 1], np.sqrt(snapshot.pose_covariance[5, 5])])
+        own = np.full((6, 6), np.nan) if snapshot.pose_covariance is None else snapshot.pose_covariance
+        P = R @ own[:3, :3] @ R.T
+        spreads.append([P[0, 0], P[0, 1], P[1, 1], np.sqrt(own[5, 5])])
     places = [[np.nan] * 3 if T is None else np.array(ground_pose(origin_T_world @ T))[[0, 1, 3]]
               for T in (now.world_T_imu, now.true_world_T_imu)]
     return [*spreads[0], *spreads[1], *places[0], *places[1]]
@@ -188,17 +186,16 @@ def inset(snapshots: tuple[Snapshot, ...], i: int) -> list[float]:
 
 def sights(snapshots: tuple[Snapshot, ...]) -> dict[str, Any]:
     """The measurements: both snapshots of a frame point to the same rows."""
-    found, at, rows, end = [], {}, [], 0
-    for sight in (snapshot.sight for snapshot in snapshots):
-        if sight is not None and id(sight) not in at:
-            at[id(sight)] = (end, end := end + len(sight.ids))
-            found.append(sight)
-        rows.append(at.get(id(sight), (0, 0)))
-    if not found:
-        return {}
-    numbers = [np.column_stack([s.measured, s.predicted, s.projected, s.covariance[:, [0, 0, 1], [0, 1, 1]], s.nis,
-                                s.accepted, s.pulls]) for s in found]
-    return {"sight": rows, "sight_ids": np.concatenate([s.ids for s in found]), "sights": np.concatenate(numbers)}
+    ids, numbers, at, rows, end = [], [], {}, [], 0
+    for shot in snapshots:
+        s = shot.sight
+        if s is not None and id(s) not in at:
+            at[id(s)] = (end, end := end + len(s.ids))
+            ids.append(s.ids)
+            numbers.append(np.column_stack([s.measured[:, :2], s.predicted[:, :2], shot.projected,
+                                            s.covariance[:, [0, 0, 1], [0, 1, 1]], s.nis, s.accepted, shot.pulls]))
+        rows.append(at.get(id(s), (0, 0)))
+    return {"sight": rows, "sight_ids": np.concatenate(ids), "sights": np.concatenate(numbers)} if ids else {}
 
 
 def paths(snapshots: tuple[Snapshot, ...]) -> dict[str, Any]:

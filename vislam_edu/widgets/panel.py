@@ -1,13 +1,13 @@
-"""A `Panel`: a picture with a slider, a switch or a list for each of its controls.
+"""A `Panel`: a picture with a slider, a switch, buttons or a list for each of its controls.
 
-The picture is a PNG in an `Image`, the controls are native inputs (`control.js`); the widget runs without a browser,
-so that a test or a cell may say `panel.controls["depth"].value = 7` and look at the picture. Where there is no kernel
-(a page on the web, a notebook that has not been run) the last picture stands in its place.
+The picture is a PNG, the controls are native inputs (`control.js`); the widget runs without a browser, so that a test
+or a cell may say `panel.controls["depth"].value = 7` and look at the picture. Where there is no kernel (a page on the
+web, a notebook that has not been run) the last picture stands in its place.
 """
 
 import html
+from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
 import anywidget
 import ipywidgets
@@ -15,7 +15,24 @@ import traitlets
 
 from .canvas import DPI, Choice, Decades, Number, Switch
 
-UNSEEN = "position: absolute; width: 1px; height: 1px; overflow: hidden; clip-path: inset(50%)"  # and read aloud
+
+class _Image(anywidget.AnyWidget):
+    """A PNG, `value`, with its alternative text, `alt`, which ipywidgets' own Image has not."""
+
+    _esm = """export default { render({ model, el }) {
+      const image = el.appendChild(document.createElement("img"));
+      image.className = "widget-image";
+      image.style.width = "100%";
+      const show = () => {
+        URL.revokeObjectURL(image.src);
+        image.src = URL.createObjectURL(new Blob([model.get("value")]));
+        image.alt = model.get("alt");
+      };
+      model.on("change:value", show);
+      show();
+    } };"""
+    value = traitlets.Bytes().tag(sync=True)
+    alt = traitlets.Unicode().tag(sync=True)
 
 
 class Control(anywidget.AnyWidget):
@@ -33,13 +50,7 @@ class Control(anywidget.AnyWidget):
         if not isinstance(control, Number | Switch | Choice):
             raise TypeError(f"a control is a Number, a Switch or a Choice, got {control!r}")
         self.control = control
-        spec: dict[str, Any] = {"label": control.label, "kind": "switch"}
-        if isinstance(control, Number):
-            kind = "log" if isinstance(control, Decades) else "number"
-            spec |= {"kind": kind, "low": control.low, "high": control.high, "step": control.step}
-        if isinstance(control, Choice):
-            spec |= {"kind": "choice", "names": list(control.names)}
-        super().__init__(spec=spec, value=control.value)
+        super().__init__(spec=asdict(control) | {"kind": type(control).__name__.lower()}, value=control.value)
 
     @traitlets.validate("value")
     def _in_range(self, proposal):
@@ -64,16 +75,16 @@ class Panel(ipywidgets.VBox):
 
     picture : `canvas.Picture`.
     controls : dict name -> its `Control`, whose `value` may be set from code.
-    image, text : the widgets that hold the picture, and its caption with the picture in words for screen readers.
+    image, text : the widgets that hold the picture, and its caption.
     """
 
     def __init__(self, picture, **layout):
         self.picture = picture
         self.controls = {name: Control(control) for name, control in picture.controls.items()}
         width = f"{int(DPI * picture.size[0])}px"
-        self.image = ipywidgets.Image(format="png", layout=ipywidgets.Layout(width=width, max_width="100%"))
+        self.image = _Image(layout=ipywidgets.Layout(width=width, max_width="100%"))
         self.text = ipywidgets.HTML(layout=ipywidgets.Layout(width=width, max_width="100%"))
-        row = ipywidgets.Layout(flex_flow="row wrap", width=width, max_width="100%")  # in as many lines as it needs
+        row = ipywidgets.Layout(flex_flow="row wrap", align_items="center", width=width, max_width="100%")
         for control in self.controls.values():
             control.observe(self._show, names="value")
         super().__init__([ipywidgets.Box(list(self.controls.values()), layout=row), self.image, self.text],
@@ -86,11 +97,11 @@ class Panel(ipywidgets.VBox):
         return {name: control.value for name, control in self.controls.items()}
 
     def _show(self, change=None):
-        self.image.value = self.picture.png(**self.state)
-        caption = self.picture.caption(**self.state)
-        # "status": a screen reader reads the caption out whenever it changes. An Image widget has no alternative text.
-        self.text.value = (f'<div role="status" style="line-height: 1.4">{html.escape(caption)}</div>'
-                           f'<div style="{UNSEEN}">{html.escape(self.picture.alt(**self.state))}</div>')
+        with self.image.hold_sync():
+            self.image.alt, self.image.value = self.picture.alt(**self.state), self.picture.png(**self.state)
+        # "status": a screen reader reads the caption out whenever it changes.
+        caption = html.escape(self.picture.caption(**self.state))
+        self.text.value = f'<div role="status" style="line-height: 1.4">{caption}</div>'
 
     def __repr__(self):
         """Fixed, so that a notebook's stored text never depends on the picture or on an address."""
@@ -99,11 +110,9 @@ class Panel(ipywidgets.VBox):
     def _repr_mimebundle_(self, **kwargs):
         """The live widget, and the still picture for where there is no kernel.
 
-        The metadata are also those of a control: with them Colab loads what it is made of, which no box asks for.
+        The metadata are also those of the picture: with them Colab loads what it is made of, which no box asks for.
         """
         bundle = super()._repr_mimebundle_(**kwargs)
         data, metadata = self.picture.still(**self.state)._repr_mimebundle_()
-        for control in self.controls.values():
-            _, loading = control._repr_mimebundle_() or ({}, {})
-            metadata |= loading
-        return {**(bundle or {}), "image/png": data["image/png"]}, metadata
+        _, loading = self.image._repr_mimebundle_() or ({}, {})
+        return {**(bundle or {}), "image/png": data["image/png"]}, metadata | loading

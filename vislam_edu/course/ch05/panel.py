@@ -12,6 +12,7 @@ from ...belief import Step
 from ...drive import Drive
 from ...noise import Noise
 from ...plots.style import COLOURS, ellipse_points
+from ...widgets import history
 from ...widgets.canvas import Choice, Decades, Number, Picture
 from ...widgets.explorer import Explorer
 from ...widgets.panel import Control
@@ -62,7 +63,7 @@ def leaving_out(what: str, number: int) -> Callable:
 class WhatIf(ipywidgets.VBox):
     """An explorer of the joint filter with two controls that run it again: V times k, and measurements left out.
 
-    drive : Drive. noise : Noise of the run that it is compared with. start : the half-step to begin with.
+    drive : Drive. noise : Noise of the run that it is compared with. start : the frame to begin with.
     factor : control, k in V -> k V. leave_out : control, which measurements the filter does not get: `NOTHING`, those
     of the `LANDMARK` that is chosen when it is set, after its birth, or those of the `FRAME` that is shown then.
     text : the widget that says what was left out, and by how much the sigmas of the shown half-step differ.
@@ -81,33 +82,30 @@ class WhatIf(ipywidgets.VBox):
         self.factor.observe(lambda _: self._run(), names="value")
         self.leave_out.observe(self._leave_out, names="value")
         self.explorer.observe(self._say, names="half_step")
-        controls = ipywidgets.Box([self.factor, self.leave_out], layout=ipywidgets.Layout(flex_flow="row wrap"))
+        controls = ipywidgets.Box([self.factor, self.leave_out],
+                                  layout=ipywidgets.Layout(flex_flow="row wrap", align_items="center"))
         super().__init__([controls, self.text, self.explorer])
         self._say()
 
-    def steps(self) -> list[Step]:
-        """The filter run as the controls say."""
-        V_times_k = replace(self.noise, sigma_px=self.noise.sigma_px * self.factor.value**0.5)
-        process = leaving_out(*self.left_out) if self.left_out else window_slam.correlated
-        return list(window_slam.run(self.drive, V_times_k, process_frame=process))
-
     def _leave_out(self, change):
-        number = {LANDMARK: self.explorer.landmark, FRAME: self.explorer.half_step // 2}.get(change.new, -1)
+        shown = self.explorer.histories[0].snapshots[self.explorer.half_step]
+        number = {LANDMARK: self.explorer.landmark, FRAME: shown.frame}.get(change.new, -1)
         self.left_out = (change.new, number) if number >= 0 else None
         self._run()
 
     def _run(self):
-        self.after = self.steps()
+        V_times_k = replace(self.noise, sigma_px=self.noise.sigma_px * self.factor.value**0.5)
+        process = leaving_out(*self.left_out) if self.left_out else window_slam.correlated
+        self.after = list(window_slam.run(self.drive, V_times_k, process_frame=process))
         self.explorer.update({AS_IT_WAS: self.before, WHAT_IF: self.after})
         self._say()
 
     def ratios(self) -> dict[str, float]:
         """Longest sigma of the pose's position and of each landmark in the shown half-step: what if over as it was."""
-        k, updated = divmod(self.explorer.half_step, 2)
-        was, now = (steps[k].posterior if updated else steps[k].prior for steps in (self.before, self.after))
+        was, now = (one.snapshots[self.explorer.half_step] for one in self.explorer.histories)
         common, i, j = np.intersect1d(was.ids, now.ids, return_indices=True)
-        longest = [np.sqrt(np.linalg.eigvalsh(np.concatenate([one.pose_covariance[None, :3, :3],
-                                                              one.landmark_covariance[rows]]))[:, -1])
+        longest = [history.principal_sigmas(np.concatenate([np.array([one.pose_covariance])[:, :3, :3],
+                                                            one.landmark_covariance[rows]]))[:, 0]
                    for one, rows in ((was, i), (now, j))]
         return dict(zip(["pose", *map(str, common)], longest[1] / longest[0]))
 
@@ -116,10 +114,11 @@ class WhatIf(ipywidgets.VBox):
         left_out = {NOTHING: "", LANDMARK: f"Without the looks at landmark {number} after its birth. ",
                     FRAME: f"Without frame {number}. "}[what]
         ranked = sorted(self.ratios().items(), key=lambda item: -abs(np.log(item[1])))
-        shown = ", ".join(f"{name} {ratio:.2f}" for name, ratio in ranked[:8] if abs(ratio - 1) > 0.005) or "none"
+        shown = ", ".join(f"{name}: {ratio:.2f}" for name, ratio in ranked[:8] if abs(ratio - 1) > 0.005) or "none"
         accepted = np.concatenate([step.innovation.accepted for step in self.after])
-        self.text.value = (f'<div role="status">{left_out}σ in this half-step, what if over as it was, largest changes '
-                           f"first: {shown}. The gate lets in {accepted.mean():.0%} of all measurements.</div>")
+        self.text.value = (f'<div role="status" style="line-height: 1.4">{left_out}σ in this half-step, what if over '
+                           f"as it was, largest changes first: {shown}. The gate lets in {accepted.mean():.0%} of all "
+                           "measurements.</div>")
 
     def __repr__(self):
         """Fixed, see `Explorer`."""
@@ -160,7 +159,7 @@ class TwoNumbersPicture(Picture):
             states = two_numbers(looks, drop)
             for line, P in ((was, states[step - 1] if step else None), (now, states[step])):
                 line.set_data(*(([], []) if P is None else ellipse_points(np.zeros(2), P).T))
-            half = 1.96 * LOOK_SIGMA * (1 if step == 3 else looks**-0.5)
+            half = 1.96 * LOOK_SIGMA * (looks**-0.5 if step == 1 else 1)
             band.set_xy([[-6 + half, -6], [6 + half, 6], [6 - half, 6], [-6 - half, -6]])
             band.set_visible(step != 2)
 

@@ -161,7 +161,7 @@ def follow(run: Callable, drive: Drive, noise: Noise = NOISE, limit: float = LIM
             problem[0] = NOT_WRITTEN
         except _TooLarge:
             problem[0] = f"more than {MOST_LANDMARKS} landmarks in the state: those out of sight have to leave it"
-        except Exception as error:
+        except (Exception, SystemExit) as error:
             problem[0] = error_message(error)
 
     ended = within(work, limit)

@@ -1,7 +1,6 @@
 """Exercises of notebook 16: a real IMU, and what an MSCKF does with its landmarks."""
 
 import numpy as np
-from scipy.linalg import qr
 
 from ... import imu, se3
 from ...error_state import RightPerturbation
@@ -95,13 +94,13 @@ def project_track(H_x, H_f, residual):
     H_f^T, H_o = N^T H_x and r_o = N^T r.
     Returns A = H_o^T H_o (d, d) and b = H_o^T r_o (d,), which are the same for every such N.
     """
-    N = qr(H_f)[0][:, 3:]
+    N = np.linalg.qr(H_f, mode="complete")[0][:, 3:]
     H = N.T @ H_x
     return H.T @ H, H.T @ (N.T @ residual)
 
 
 project_track.slip("landmark taken as known", """Without the projection the landmark's error counts as zero: the clones
-    learn from a landmark that nobody knows.""", ("qr(H_f)[0][:, 3:]", "np.eye(len(H_f))"))
+    learn from a landmark that nobody knows.""", ('np.linalg.qr(H_f, mode="complete")[0][:, 3:]', "np.eye(len(H_f))"))
 project_track.slip("the columns that H_f reaches", """The first three columns of Q span H_f itself. The null space is
     spanned by the others.""", ("[:, 3:]", "[:, :3]"))
 project_track.slip("residual not projected", "Residual and H_x share their rows: both are multiplied by N^T.",

@@ -140,27 +140,25 @@ def _stop(thread) -> str:
 def outcome_of(exercise, function, arguments) -> Outcome:
     """Call a function on copies of the arguments and read its result."""
     given = [copied(argument) for argument in arguments]
+    changed: tuple[str, ...] = ()
     try:
         result = function(*given)
         if exercise.reading and not (result is None or result is ... or result is NotImplemented):
             result = exercise.reading(_as_yielded(result) if inspect.isgenerator(result) else result)
+        if result is None or result is ... or result is NotImplemented:
+            return Outcome(blank=True, nothing=result is None)
+        changed = tuple(name for name, before, after in zip(exercise.arguments, arguments, given)
+                        if not _alike(before, after))
+        values, precise, remarks = read(result, exercise.outputs)
+        return Outcome(values, changed=changed, precise=precise, remarks=remarks)
     except NotImplementedError as error:
         raised_in = _their_frames(error)[-1:]
         calls = [frame.name for frame in raised_in if frame.name != getattr(function, "__name__", frame.name)]
         return Outcome(blank=True, calls="".join(calls))
     except _Stop:
         raise
-    except BaseException as error:  # SystemExit included: an answer must not end the kernel
-        return Outcome(error=error)
-    if result is None or result is ... or result is NotImplemented:
-        return Outcome(blank=True, nothing=result is None)
-    changed = tuple(name for name, before, after in zip(exercise.arguments, arguments, given)
-                    if not _alike(before, after))
-    try:
-        values, precise, remarks = read(result, exercise.outputs)
-    except Unreadable as error:
+    except BaseException as error:  # SystemExit included: an answer must not end the kernel, whatever it returns
         return Outcome(error=error, changed=changed)
-    return Outcome(values, changed=changed, precise=precise, remarks=remarks)
 
 
 def _as_yielded(states) -> list:
@@ -253,7 +251,7 @@ def _array(part, name, remarks) -> np.ndarray:
         remarks[f"({name} came as complex numbers without imaginary parts: take .real.)"] = None
         return array.real
     if array.dtype.kind == "O":
-        with contextlib.suppress(TypeError, ValueError):
+        with contextlib.suppress(TypeError, ValueError, OverflowError):
             plain = array.astype(float)
             remarks[f"({name} came as an array of Python objects and was made one of numbers.)"] = None
             return plain
@@ -276,5 +274,5 @@ def error_message(error) -> str:
     for frame in _their_frames(error):
         code = linecache.getline(frame.filename, frame.lineno or 0).strip()
         lines.append(f"  line {frame.lineno} in {frame.name}:  {code}")
-    message = " ".join(_ADDRESS.sub("0x...", str(error)).split())
+    message = " ".join(_ADDRESS.sub("0x...", str(error)[:2000]).split())
     return "\n".join([*lines[-4:], f"  {type(error).__name__}: {message}"])

@@ -105,7 +105,7 @@ def _judged(exercise: Exercise, made: Attempt, limit) -> Verdict:
 
     reasons = [_reason(exercise, outcome, should) for outcome, should in zip(outcomes, expected)]
     failing = [i for i, reason in enumerate(reasons) if reason]
-    if ended and not failing:
+    if len(outcomes) < len(cases) and not failing:  # it ran out of time, or ended the thread that asked it
         return _too_slow(exercise, cases[len(outcomes)], ended, limit)
     if not failing:
         rough = "" if all(outcome.precise for outcome in outcomes) else \
@@ -209,7 +209,7 @@ def _blank(exercise, is_written, outcomes) -> Verdict:
 
 def _too_slow(exercise, case, ended, limit) -> Verdict:
     label, arguments = case
-    still = "" if ended == "stopped" else "\nIt could not be stopped and still runs: restart the kernel."
+    still = "\nIt could not be stopped and still runs: restart the kernel." if ended == "running" else ""
     return Verdict(exercise.name, WRONG, "\n".join([
         f"{exercise.name}: wrong, still no answer after {limit:g} s of computing, on the input ({label})",
         *(argument(*pair) for pair in zip(exercise.arguments, arguments)),

@@ -10,6 +10,8 @@ from ...cli import say
 from ...cli.arguments import OptionError, whole
 from ...recordings.files import made_folder, write_csv, write_text
 
+_WHO = ["student", "id", "number", "email"]
+
 
 def add_arguments(parser):
     """The options of `clinic`. parser : argparse.ArgumentParser."""
@@ -38,13 +40,16 @@ def _serve(arguments) -> int:
     from ..clinic import examination
     from ..grading import points
 
-    roster = points.roster(arguments.roster) if arguments.roster else []
-    students = [*arguments.students, *(person.full for person in roster)]
-    if not students:
+    people = [*map(points.Person, arguments.students), *(points.roster(arguments.roster) if arguments.roster else [])]
+    if not people:
         raise OptionError("clinic serve: name the students with --students or --roster")
-    for name in students:
-        if students.count(name) > 1 or not name.strip() or not name.isprintable():
+    names, students = [person.full for person in people], {}
+    for person, name in zip(people, names):
+        if names.count(name) > 1 and any(person.ids):
+            name = f"{name} ({person.number or person.id or person.email})"
+        if name in students or not name.strip() or not name.isprintable():
             raise OptionError(f"clinic serve: a student's name is printable, and no other student's; got {name!r}")
+        students[name] = person.ids
     if not arguments.key.exists():
         with open(os.open(arguments.key, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w", encoding="utf-8") as file:
             file.write(secrets.token_hex(32) + "\n")
@@ -53,8 +58,8 @@ def _serve(arguments) -> int:
     exam.start(students, arguments.level, arguments.patients)
     with examination.server(exam, (arguments.host, arguments.port)) as server:
         base = f"http://{arguments.host}:{server.server_address[1]}"
-        write_csv(arguments.out / "links.csv", ["student", "link"],
-                  ((name, f"{base}/{exam.token(name)}") for name in exam.students))
+        write_csv(arguments.out / "links.csv", [*_WHO, "link"],
+                  ([name, *ids, f"{base}/{exam.token(name)}"] for name, ids in exam.students.items()))
         print(f"{len(exam.students)} students at {base}; their links: {arguments.out / 'links.csv'}. Ctrl-C ends it",
               flush=True)
         with contextlib.suppress(KeyboardInterrupt):
@@ -71,14 +76,14 @@ def _grade(arguments) -> int:
     exam = examination.Examination(log, _key(arguments.key))
     numbers = range(1, exam.patients + 1)
     graded = {student: [exam.grade(student, number) for number in numbers] for student in exam.students}
-    rows = [[student, round(sum(one["total"] for one in scores), 3), 10 * exam.patients,
+    rows = [[student, *exam.students[student], round(sum(one["total"] for one in scores), 3), 10 * exam.patients,
              *(one["total"] for one in scores),
              " ".join(f"{one['patient']}: {remark}" for one in scores for remark in one["remarks"])]
             for student, scores in graded.items()]
     write_csv(arguments.out / "clinic.csv",
-              ["student", "total", "maximum", *(f"patient {number}" for number in numbers), "remarks"], rows)
+              [*_WHO, "total", "maximum", *(f"patient {number}" for number in numbers), "remarks"], rows)
     write_text(arguments.out / "clinic.json", json.dumps(graded, indent=2, ensure_ascii=False) + "\n")
-    for student, total, most, *_ in rows:
+    for student, _, _, _, total, most, *_ in rows:
         say(f"{student:30} {total:>6} of {most}")
     say(f"written to {arguments.out / 'clinic.csv'} and {arguments.out / 'clinic.json'}")
     return 0

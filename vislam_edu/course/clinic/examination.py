@@ -29,12 +29,14 @@ PARTS = ("piece", "kind", "evidence", "cure", "thrift")
 class Examination:
     """All patients of all students, as the log has them. `cases` : {(student, number): what was ordered and answered}.
 
+    students : {name: id, number and e-mail of the roster}.
     log : file, made by `start`. key : the secret. Raises OptionError for a log that this key did not write.
     """
 
     def __init__(self, log: Path, key: str) -> None:
         self.log, self.key = log, key
         self.cases: dict[tuple[str, int], dict[str, Any]] = {}
+        self.students: dict[str, list[str]] = {}
         self.level = self.patients = 0
         self._code, self._end, self.lock = "", 0, threading.RLock()
         self.patient = cache(self._patient)
@@ -53,6 +55,7 @@ class Examination:
         self._code, self._end = code, self._end + size
         if "students" in record:
             self.level, self.patients = record["level"], record["patients"]
+            self.students |= record["students"]
             for number in range(1, self.patients + 1):
                 for student in record["students"]:
                     self.cases.setdefault((student, number), {"ordered": [], "piece": [], "kind": [], "evidence": []})
@@ -73,16 +76,12 @@ class Examination:
             os.fsync(file.fileno())
         self._take(line.decode().partition(" ")[0], record, len(line))
 
-    def start(self, students: Iterable[str], level: int, patients: int) -> None:
-        """Begin, or go on with the same level and number of patients; students may be added."""
+    def start(self, students: Mapping[str, list[str]], level: int, patients: int) -> None:
+        """Begin, or go on with the same level and number of patients; students may be added (see `students`)."""
         if self.cases and (level, patients) != (self.level, self.patients):
             raise OptionError(f"{self.log} is of level {self.level} with {self.patients} patients: go on with "
                               "these, or take another folder")
-        self._write(students=list(students), level=level, patients=patients)
-
-    @property
-    def students(self) -> list[str]:
-        return list(dict.fromkeys(student for student, _ in self.cases))
+        self._write(students=students, level=level, patients=patients)
 
     def token(self, student: str) -> str:
         """What a student's link ends in: nobody guesses it without the key."""

@@ -146,7 +146,7 @@ def definitions(sources: Iterable[str]) -> dict[str, ast.FunctionDef]:
     """The last definition of each exercise's function in these cells."""
     found = {}
     for source in sources:
-        with suppress(SyntaxError, ValueError, RecursionError):
+        with suppress(SyntaxError, ValueError, RecursionError, MemoryError):
             found.update({node.name: node for node in ast.parse(source).body
                           if isinstance(node, ast.FunctionDef) and node.name in EXERCISES})
     return found

@@ -34,7 +34,7 @@ BORROWED, NO_VERDICT, MISSING = "borrowed", "no verdict", "missing"
 _CALL = re.compile(r"\bcheck\.(\w+)\s*\(")
 _STUB = re.compile(r"^def (\w+)\(", re.MULTILINE)
 _CHAPTER = re.compile(r"(?:^|_)(\d\d)_[a-z]")
-_DOWNLOADED = re.compile(r"(?:^|/)(?P<name>[^/]+?)_(?:LATE_)?(?P<id>\d+)_(?:assignsubmission_file_|\d+_)")
+_DOWNLOADED = re.compile(r"(?:^|/)(?P<name>[^/]+?)_(?:LATE_)?(?P<id>\d+)_(?:assignsubmission_file|\d+_)")
 # What a notebook needs of the environment. The rest stays here: it may hold passwords and tokens.
 _PASSED_ON = {"PATH", "HOME", "USER", "LANG", "LC_ALL", "TZ", "TMPDIR", "TEMP", "TMP", "SYSTEMROOT", "SYSTEMDRIVE",
               "COMSPEC", "PATHEXT", "USERPROFILE", "APPDATA", "LOCALAPPDATA", "PYTHONPATH", "VIRTUAL_ENV",
@@ -187,25 +187,25 @@ def _run(folder, scratch, key, limit, sandbox, hidden, stop) -> str:
     python = ["-P", "-c", _RUN, str(folder), str(scratch), str(int(limit) + 10)]
     command = (sandbox.command(python, folder, scratch, hidden, own, token) if sandbox
                else [sys.executable, *python])
-    complaints = scratch / "stderr"
-    with open(complaints, "wb") as stderr:
+    with tempfile.TemporaryFile() as complaints:  # nothing that the notebook can reach
         process = subprocess.Popen([*_BETWEEN, *command], env=environment, stdin=subprocess.PIPE,
-                                   stdout=subprocess.DEVNULL, stderr=stderr, start_new_session=True)
-    with suppress(BrokenPipeError), process.stdin as pipe:  # type: ignore[union-attr]
-        pipe.write(f"{key}\n".encode())
-    deadline = time.monotonic() + limit
-    try:
-        while process.poll() is None:
-            if stop.wait(0.02):
-                raise Stopped
-            if time.monotonic() > deadline:
-                return f"stopped after {limit:g} s"
-    finally:
-        _end(process, token)
-        if sandbox:
-            sandbox.end(token)
+                                   stdout=subprocess.DEVNULL, stderr=complaints, start_new_session=True)
+        with suppress(BrokenPipeError), process.stdin as pipe:  # type: ignore[union-attr]
+            pipe.write(f"{key}\n".encode())
+        deadline = time.monotonic() + limit
+        try:
+            while process.poll() is None:
+                if stop.wait(0.02):
+                    raise Stopped
+                if time.monotonic() > deadline:
+                    return f"stopped after {limit:g} s"
+        finally:
+            _end(process, token)
+            if sandbox:
+                sandbox.end(token)
+        complaints.seek(0)
+        lines = complaints.read().decode(errors="replace").split("\n")
     if not (scratch / submission.RECORD).exists():  # it did not come to the first cell
-        lines = complaints.read_text(encoding="utf-8", errors="replace").split("\n")
         return "could not be run: " + (shown(" ".join(lines[-2:])) or "its process did not start")
     return ""
 

@@ -54,6 +54,10 @@ class Person:
         return self.name or f"{self.first} {self.last}".strip()
 
     @property
+    def ids(self) -> list[str]:
+        return [self.id, self.number, self.email]
+
+    @property
     def keys(self) -> set[str]:
         """What a folder or file of this student may be called."""
         last, comma, first = self.name.partition(",")
@@ -196,7 +200,7 @@ def write(found: Sequence[Row], points: Mapping[str, float], folder: Path, syste
     maximum = sum(points.values())
     write_csv(folder / "points.csv", ["student", "id", "number", "email", *points, "days late", "total", "maximum",
                                       "notebooks", "remarks"], (
-        [row.student, *((row.person.id, row.person.number, row.person.email) if row.person else ("", "", "")),
+        [row.student, *(row.person or Person()).ids,
          *(_number(row.points[name]) if name in row.points else "" for name in points), row.late, _number(row.total),
          _number(maximum), "; ".join(one.name for one in row.submissions), "; ".join(row.remarks)] for row in found))
     people = [(row, row.person) for row in found if row.person]

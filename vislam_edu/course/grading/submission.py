@@ -88,7 +88,7 @@ def run(folder: Path, scratch: Path, seconds: int) -> None:
         error = result.error_before_exec or result.error_in_exec
         if error is not None:
             record.add({"cell": number, "error": _described(error)})
-        with suppress(SyntaxError, ValueError, RecursionError):
+        with suppress(SyntaxError, ValueError, RecursionError, MemoryError):
             for name, call in calls(plain(source)):
                 record.add(_followed(name, call, shell.user_ns))
     record.add({"end": True})
