@@ -13,6 +13,7 @@ from vislam_edu.error_state import RightInvariant, RightPerturbation
 from vislam_edu.noise import Noise
 
 NOISE = Noise()
+BOTH = [RightPerturbation(), RightInvariant()]
 
 
 @pytest.fixture(scope="module")
@@ -101,7 +102,7 @@ def test_chunks_give_what_one_update_gives(monkeypatch):
     np.testing.assert_allclose(posterior.covariance, plain.covariance, atol=1e-10)
 
 
-@pytest.mark.parametrize("error_state", [RightPerturbation(), RightInvariant()])
+@pytest.mark.parametrize("error_state", BOTH)
 @pytest.mark.parametrize("process_frame", [window_slam.correlated, window_slam.as_report])
 def test_window_equals_the_filter_that_keeps_everything(small, error_state, process_frame):
     window = window_slam.run(small, NOISE, error_state, process_frame=process_frame)
@@ -118,7 +119,7 @@ def test_window_equals_the_filter_that_keeps_everything(small, error_state, proc
     assert len(b.posterior.ids) > len(a.posterior.ids)
 
 
-@pytest.mark.parametrize("error_state", [RightPerturbation(), RightInvariant()])
+@pytest.mark.parametrize("error_state", BOTH)
 def test_covariance_stays_symmetric_positive_definite_on_a_long_drive(error_state):
     drive = simulate.street_loop(seed=5, frames=1200, visible=25, outlier_share=0.05)
     for step in window_slam.run(drive, NOISE, error_state):

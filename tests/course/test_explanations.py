@@ -34,9 +34,10 @@ def located(verdict):
     return verdict.located or "has shape" in verdict.text or "it must return" in verdict.text
 
 
-def kind(exercise, function):
+def kind(exercise, answer):
+    function = answer.function()
     verdict = judge(exercise, function)
-    assert verdict.status == WRONG, verdict.text
+    assert verdict.status == WRONG, f"{answer.exercise}, {answer.cause!r}: {verdict.text}"
     if not verdict.mistake:
         return "localised" if located(verdict) else "generic"
     other = judge(of_another_seed(exercise), function)
@@ -64,7 +65,7 @@ def test_right_blind_answers_are_right_and_quick():
 
 def test_wrong_blind_answers_are_refused_and_most_are_named():
     answers = [answer for answer in BLIND if answer.cause][::EVERY]
-    kinds = [kind(EXERCISES[answer.exercise], answer.function()) for answer in answers]
+    kinds = [kind(EXERCISES[answer.exercise], answer) for answer in answers]
     share = {name: count / len(kinds) for name, count in Counter(kinds).items()}
     print(Counter(kinds), [a.exercise + ": " + a.cause for a, k in zip(answers, kinds) if k == "misnamed"])
     assert share["named"] >= 0.7

@@ -18,7 +18,7 @@ from hostile import RIGHT_HAT, notebook
 from vislam_edu import cli
 from vislam_edu.course.checks.verdict import RIGHT, WRONG
 from vislam_edu.course.exercises import EXERCISES
-from vislam_edu.course.grading import cells, collecting, grading, report, sandbox
+from vislam_edu.course.grading import collecting, grading, report, sandbox
 
 posix = pytest.mark.skipif(os.name != "posix", reason="process groups and limits are those of POSIX")
 
@@ -138,7 +138,7 @@ def test_a_deleted_check_is_missing_also_where_all_were_deleted(tmp_path):
     path = notebook(tmp_path, ["pass"], "03_landmark_ekf.ipynb")
     assert [(r.exercise, r.status) for r in grading.grade(grading.read(path, "a")).results] == [
         (name, grading.MISSING) for name in expected]
-    path = notebook(tmp_path, [cells.source(EXERCISES[expected[0]])[0]], "renamed.ipynb")
+    path = notebook(tmp_path, [EXERCISES[expected[0]].stub], "renamed.ipynb")
     assert [r.exercise for r in grading.grade(grading.read(path, "a")).results] == expected
 
 

@@ -53,7 +53,7 @@ def test_a_regime_has_the_noise_that_it_names(regime):
 def test_the_command_writes_every_filter_and_the_batch(tmp_path, capsys):
     assert main(["consistency", "--regime", "standing", "--seeds", "1", "--frames", "20", "--out", str(tmp_path)]) == 0
     filters = json.loads((tmp_path / "summary.json").read_text())["regimes"]["standing"]["filters"]
-    assert list(filters) == ["inverse_depth", "cartesian", "right", "batch"]
+    assert list(filters) == [*regimes.FILTERS, "batch"]
     for figures in filters.values():
         assert {"nees_pose", "rmse_m", "rejected_share", "warned"} <= figures.keys()
     assert "standing" in capsys.readouterr().out

@@ -16,6 +16,9 @@ from .arguments import (
     whole,
 )
 
+ERROR_STATES = {"inverse-depth": "InverseDepth", "cartesian": "RightInvariant", "right": "RightPerturbation",
+                "invariant": "RightInvariant"}  # of the option: the class of `error_state`, which is imported late
+
 
 def add_arguments(parser):
     """The options of `run`. parser : argparse.ArgumentParser."""
@@ -52,7 +55,7 @@ def add_arguments(parser):
     noise.add_argument("--report-noise", action="store_true",
                        help="the report's W and V where no other value is given (overconfident: try it)")
     joint = parser.add_argument_group("the joint filter")
-    joint.add_argument("--error-state", choices=("inverse-depth", "cartesian", "right", "invariant"),
+    joint.add_argument("--error-state", choices=ERROR_STATES,
                        help="what an error is: right-invariant with landmarks of inverse depth, or with points "
                             "(cartesian, also called invariant), or the report's right perturbation, which believes "
                             "that it learned the heading (default: inverse-depth; cartesian with --audit; right with "
@@ -117,7 +120,7 @@ def prepare(arguments):
 
 def error_state_of(arguments):
     """The `ErrorState` asked for, or what suits the run. Raises OptionError where the initialisation forbids it."""
-    from ..error_state import InverseDepth, RightInvariant, RightPerturbation
+    from .. import error_state
 
     as_report = arguments.initialisation == "as-report"
     default = "right" if as_report else "cartesian" if arguments.audit else "inverse-depth"
@@ -125,7 +128,7 @@ def error_state_of(arguments):
     if as_report and name == "inverse-depth":
         raise OptionError("run: --initialisation as-report gives a landmark 2 m^2 per axis, which an inverse depth "
                           "does not have: take --error-state right or cartesian")
-    return {"inverse-depth": InverseDepth, "right": RightPerturbation}.get(name, RightInvariant)()
+    return getattr(error_state, ERROR_STATES[name])()
 
 
 def correct_lens(arguments, drive, noise):

@@ -91,7 +91,4 @@ def _written(arguments, people, worth, chosen) -> None:
 def _sandbox(arguments) -> sandbox.Sandbox:
     folder = arguments.report if arguments.report.is_dir() else arguments.report.parent
     with tempfile.TemporaryDirectory(prefix="vislam_edu-") as scratch:
-        try:
-            return sandbox.find(folder.resolve(), Path(scratch), arguments.image)
-        except sandbox.SandboxError as error:
-            raise OptionError(f"exercises --sandbox: {error}") from None
+        return sandbox.find(folder.resolve(), Path(scratch), arguments.image)
