@@ -103,7 +103,7 @@ def test_plain_answers_are_right_and_their_mutants_come_to_an_end(name):
     assert len(found) > 20 or name in ("filter_frame", "filter_run"), f"the plain answer has {len(found)} mutants"
     start = time.process_time()
     with np.errstate(all="ignore"):
-        for mutant in found:
+        for mutant in found[::1 if WHOLE else 4]:
             try:
                 mutant.function(*exercise.inputs()[0][1])
             except Exception:  # a mutant may fail in any way; it must not hang
