@@ -234,12 +234,11 @@ def in_front_again(problem: Problem, estimate: Estimate) -> Estimate:
     """The estimate with every landmark that lies behind one of its cameras begun anew: it has no derivative there."""
     drive = problem.drive
     points = drive.camera.to_cam(estimate.world_T_imu[drive.frame], estimate.landmarks[problem.landmark])
-    lost = np.unique(problem.landmark[points[:, 2] <= 0])
-    if not len(lost):
+    lost = np.isin(np.arange(drive.n_landmarks), problem.landmark[points[:, 2] <= 0])
+    if not lost.any():
         return estimate
-    landmarks = estimate.landmarks.copy()
-    landmarks[lost] = nearest_views(problem, estimate.world_T_imu)[lost]
-    return replace(estimate, landmarks=landmarks)
+    anew = nearest_views(problem, estimate.world_T_imu)
+    return replace(estimate, landmarks=np.where(lost[:, None], anew, estimate.landmarks))
 
 
 # --- residuals and their derivatives ------------------------------------------------------------------------

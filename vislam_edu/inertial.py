@@ -160,8 +160,7 @@ def state_of(belief: Belief) -> State:
     return State(T[:3, :3], T[:3, 3], values[:3], values[3:6], values[6:9])
 
 
-def true_states(start: np.ndarray, world_T_imu: np.ndarray, velocities: np.ndarray,
-                biases: np.ndarray) -> list[State]:
+def true_states(start: np.ndarray, world_T_imu: np.ndarray, velocities: np.ndarray, biases: np.ndarray) -> list[State]:
     """The truth in the world in which an estimate begins, at the pose `start` (4, 4): its state at each of T frames.
 
     world_T_imu : (T, 4, 4). velocities : (T, 3), m/s. biases : (T, 6), rad/s and m/s^2.

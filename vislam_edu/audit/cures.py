@@ -27,13 +27,14 @@ class Cure:
     def __call__(self, drive: Drive) -> Drive:
         return self.function(drive)
 
-    def __str__(self):
-        return self.name + (" (needs the whole drive)" if self.needs_future else "")
-
-
 def end_tracks(name: str, bad: Callable[[Drive], np.ndarray]) -> Cure:
     """Every track ends before its first bad observation; bad : gives (N,) bool of a drive. name : of the cure."""
-    return Cure(name, False, lambda drive: end_tracks_before(drive, bad(drive)))
+    def function(drive):
+        wrong, end = bad(drive), np.full(drive.n_landmarks, drive.n_frames)
+        np.minimum.at(end, drive.landmark[wrong], drive.frame[wrong])
+        return drive.keep_observations(drive.frame < end[drive.landmark])
+
+    return Cure(name, False, function)
 
 
 def end_tracks_at_copies() -> Cure:
@@ -68,11 +69,6 @@ def _births(drive):
         yield int(drive.landmark[i]), (float(drive.times[drive.frame[i]]), *drive.pixels[i, :2].tolist())
 
 
-def end_tracks_before(drive: Drive, bad) -> Drive:
-    """The drive without each track's first bad observation, bad (N,) bool, and everything after it."""
-    end = np.full(drive.n_landmarks, drive.n_frames)
-    np.minimum.at(end, drive.landmark[bad], drive.frame[bad])
-    return drive.keep_observations(drive.frame < end[drive.landmark])
 
 
 def use_imu_sample(sample: str) -> Cure:
