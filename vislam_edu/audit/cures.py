@@ -53,22 +53,16 @@ def drop_tracks(drive: Drive, tracks) -> Cure:
     Other cures renumber the landmarks, so a track is known by where and when it was first seen. Needs the future: that
     a track is wrong shows over its life.
     """
-    tracks = set(np.asarray(tracks).tolist())
-    births = {birth for landmark, birth in _births(drive) if landmark in tracks}
+    def births(drive):  # of each landmark the time and the left pixel of its first observation
+        first = np.zeros((drive.n_landmarks, 3))
+        seen = np.column_stack([drive.times[drive.frame], drive.pixels[:, :2]])
+        first[drive.landmark[::-1]] = seen[::-1]  # of several writes to one row the last one stays
+        return list(map(tuple, first.tolist()))
 
-    def function(drive):
-        wrong = [landmark for landmark, birth in _births(drive) if birth in births]
-        return drive.keep_landmarks(~np.isin(np.arange(drive.n_landmarks), wrong))
-
-    return Cure(f"{len(births)} outlier tracks dropped", True, function)
-
-
-def _births(drive):
-    """Each landmark with the time and the left pixel of its first observation."""
-    for i in np.flatnonzero(drive.frame == drive.first_seen[drive.landmark]):
-        yield int(drive.landmark[i]), (float(drive.times[drive.frame[i]]), *drive.pixels[i, :2].tolist())
-
-
+    born = births(drive)
+    wrong = {born[landmark] for landmark in tracks}
+    return Cure(f"{len(wrong)} outlier tracks dropped", True,
+                lambda drive: drive.keep_landmarks(np.array([birth not in wrong for birth in births(drive)], bool)))
 
 
 def use_imu_sample(sample: str) -> Cure:
