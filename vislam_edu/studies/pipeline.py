@@ -25,11 +25,10 @@ from .runs import Run, record, truth_beside
 
 @dataclass(frozen=True, eq=False)
 class Mapped:
-    """What the landmark EKF said of poses that it had to believe.
+    """What the landmark EKF said of poses that it had to believe: its map after the last frame.
 
-    map : MapBelief after the last frame. measurements : how many were compared with a prediction.
-    contradicting : how many of them a 99 % gate would have kept out. There is no gate here: the report has
-    none, and on dead-reckoned poses it would leave one measurement in ten.
+    measurements : how many were compared with a prediction. contradicting : how many of them a 99 % gate would have
+    kept out. The report has none, and on dead-reckoned poses it would leave one measurement in ten.
     """
 
     map: MapBelief
@@ -214,7 +213,7 @@ def first_sight(drive, noise, world_T_imu, min_disparity=1.0) -> MapBelief:
 
 
 def collect_mapping(steps) -> Mapped:
-    """Listen to `mapping.run` and keep what a picture needs. steps : of `mapping.run`, with any gate."""
+    """Listen to the steps of `mapping.run` and keep what a picture needs."""
     threshold = kalman.gate_threshold(0.99)
     measurements = contradicting = 0
     for step in steps:
