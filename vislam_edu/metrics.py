@@ -47,9 +47,6 @@ def _with_truth(true: np.ndarray, estimated: np.ndarray) -> tuple[np.ndarray, np
     return true[known], estimated[known]
 
 
-# --- accuracy -----------------------------------------------------------------------------------------------
-
-
 def align(true: np.ndarray, estimated: np.ndarray) -> np.ndarray:
     """The rigid motion that brings the estimated positions closest to the true ones, least squares, no scale.
 
@@ -112,9 +109,6 @@ def kitti_drift(true: np.ndarray, estimated: np.ndarray, lengths: Sequence[float
     translation = np.linalg.norm(error[:, :3, 3], axis=-1) / length
     rotation = np.linalg.norm(se3.so3_log(error[:, :3, :3]), axis=-1) / length
     return float(100 * translation.mean()), float(np.degrees(rotation.mean()))
-
-
-# --- consistency --------------------------------------------------------------------------------------------
 
 
 def nees(error: np.ndarray, covariance: np.ndarray) -> np.ndarray:

@@ -81,7 +81,7 @@ class RealDrive(motion.TwistAndBias):
     From one frame to the next a landmark walks by what `slip_px` px in each coordinate of its image are worth. The
     default walks of the twist suit a car at ten frames a second.
 
-    drive : Drive. noise : Noise. error_state : `ErrorState`. walk_v, walk_omega : m/s and rad/s per frame.
+    walk_v, walk_omega : m/s and rad/s per frame.
     """
 
     slip_floor, slip_of_zoom = 0.1, 2.0  # px a frame; px at a zoom by e, whose square grows with the zoom
