@@ -24,9 +24,8 @@ posix = pytest.mark.skipif(os.name != "posix", reason="process groups and limits
 
 # Some of each kind; `python tests/hostile.py` puts all of them, the weekly workflow too.
 HAND_IN = [
-    "forges the record", "replaces json", "no inputs", "a pipe for a record", "a large record", "takes memory",
-    "writes much", "prints much", "a large integer", "a result that exits", "leaves a daemon", "ends its parent",
-    "ends itself", "exits", "leaves a thread", "an error without words", "a row of signs", "a surrogate in a cell",
+    "forges the record", "a pipe for a record", "takes memory", "writes much", "a large integer", "a result that exits",
+    "leaves a daemon", "ends its parent", "ends itself", "a row of signs", "a surrogate in a cell",
     "shadows with a folder", "\x1b[31mred", "=HYPERLINK(\"x\")", "is a pipe", "is a device", "leads nowhere", "nested"]
 
 

@@ -20,7 +20,7 @@ from scipy import stats
 from ...belief import Step
 from ...plots.text import on_a_page
 from . import clinic_tests
-from .clinic_tests import CLEARED_TOGETHER, TESTS, Readings, bands, read
+from .clinic_tests import CLEARED_TOGETHER, TESTS, Readings, bands, outside, read
 from .patients import FAULTS, HEALTHY, KINDS, PIECES, Build, Drawn, draw, stream
 
 BUDGETS = {1: 11, 2: 8, 3: 12}
@@ -122,7 +122,7 @@ class Patient:
 
     def abnormal(self, name: str) -> list[str]:
         """The readings of an ordered test that are outside their bands."""
-        return [key for key, value in self.readings[name].items() if not bands()[name][key].holds(value)]
+        return outside(name, self.readings[name])
 
     @property
     def left(self) -> list[str]:
@@ -208,10 +208,6 @@ def evident(name: str, examine: Callable[[str, int], Readings]) -> bool:
     return any(separates(name, key, [one[key] for one in fresh]) for key in fresh[0])
 
 
-def _in_bands(name: str, readings: Readings) -> bool:
-    return all(bands()[name][key].holds(value) for key, value in readings.items())
-
-
 def _score(patient: Patient, drawn: Drawn, examine, findings, evidence, cure) -> Score:
     truth = tuple((FAULTS[name].piece, FAULTS[name].kind) for name in drawn.faults)
     if drawn.healthy:
@@ -263,8 +259,8 @@ def _cure(drawn: Drawn, cure: Mapping[str, Any], evidence: list[str], remarks: l
     """3 points: every bench in its bands; the evidence back in its band; RMSE and sigma no worse than healthy."""
     build = replace(drawn.build, **cure)
     seed = drawn.seed + 77
-    benches = all(_in_bands(name, read(name, build, seed)) for name, test in TESTS.items() if test.bench)
-    back = bool(evidence) and all(_in_bands(name, read(name, build, seed)) for name in evidence)
+    benches = not any(outside(name, read(name, build, seed)) for name, test in TESTS.items() if test.bench)
+    back = bool(evidence) and not any(outside(name, read(name, build, seed)) for name in evidence)
     rmse, sigma = _rmse_and_sigma(build, seed)
     healthy = _rmse_and_sigma(Build(), seed)
     no_worse = rmse <= WORSE * healthy[0] and healthy[1] / WORSE <= sigma <= WORSE * healthy[1]
