@@ -182,11 +182,11 @@ class Figures:
     sigma : m, what it claims of the last position: root of the trace of the covariance.
     """
 
-    ate: float
-    nees: float
-    in_gate: float
-    seconds: float
-    sigma: float
+    ate: float = np.nan
+    nees: float = np.nan
+    in_gate: float = np.nan
+    seconds: float = np.nan
+    sigma: float = np.nan
 
 
 @dataclass(frozen=True)
@@ -198,16 +198,11 @@ class Judged:
     """
 
     drive: str
-    mine: Figures
-    agreed: Figures
-    package: Figures
-    dead_reckoning: Figures
+    mine: Figures = Figures()
+    agreed: Figures = Figures()
+    package: Figures = Figures()
+    dead_reckoning: Figures = Figures()
     problem: str = ""
-
-    @property
-    def all(self) -> tuple[Figures, Figures, Figures, Figures]:
-        """The student's, the agreed filter's, the package's and dead reckoning's."""
-        return self.mine, self.agreed, self.package, self.dead_reckoning
 
     @property
     def faults(self) -> list[str]:
@@ -253,9 +248,6 @@ def package_run(drive: Drive, noise: Noise) -> Iterator[tuple]:
         yield after.world_T_imu, after.landmarks, after.ids, after.covariance
 
 
-_NOTHING = Figures(np.nan, np.nan, np.nan, np.nan, np.nan)
-
-
 def judged(run: Callable, drive: Drive, limit: float = LIMIT, error_state: ErrorState | None = None) -> Judged:
     """A filter on a drive beside the others. error_state : of the student's covariance, the right perturbation if None.
 
@@ -268,9 +260,9 @@ def judged(run: Callable, drive: Drive, limit: float = LIMIT, error_state: Error
 
     mine = follow(run, drive, limit=limit)
     if mine.problem == NOT_WRITTEN:
-        return Judged(drive.name, _NOTHING, _NOTHING, _NOTHING, _NOTHING, NOT_WRITTEN)
+        return Judged(drive.name, problem=NOT_WRITTEN)
     dead = odometry.dead_reckon(drive, NOISE)
-    return Judged(drive.name, _NOTHING if mine.problem else of(mine, error_state),
+    return Judged(drive.name, Figures() if mine.problem else of(mine, error_state),
                   of(follow(agreed_run, drive)), of(follow(package_run, drive)),
                   _figures(drive, dead.world_T_imu, dead.covariance), mine.problem)
 
@@ -305,11 +297,11 @@ class Score:
         lines += [f"{'':12}{'ATE (m)':>28}{'NEES (6 is honest)':>28}{'% in the gate':>14}{'sigma (m)':>14}",
                   f"{'':12}{four}{four}{two}{two}"]
         for one in self.drives:
-            ates, nees = ([f"{text:>{width}}" for text, width in zip(texts, (7, 7, 8, 6))] for texts in (
-                [f"{figures.ate:.2f}" for figures in one.all], [_short(figures.nees) for figures in one.all]))
-            lines.append("".join([
-                f"{one.drive:12}", *ates, *nees, *(f"{100 * figures.in_gate:7.1f}" for figures in one.all[:2]),
-                *(f"{figures.sigma:7.3f}" for figures in one.all[:2])]))
+            columns = list(zip((one.mine, one.agreed, one.package, one.dead_reckoning), (7, 7, 8, 6)))
+            lines.append("".join([f"{one.drive:12}", *(f"{who.ate:{width}.2f}" for who, width in columns),
+                                  *(f"{_short(who.nees):>{width}}" for who, width in columns),
+                                  *(f"{100 * who.in_gate:7.1f}" for who, _ in columns[:2]),
+                                  *(f"{who.sigma:7.3f}" for who, _ in columns[:2])]))
         fine = "no measurable harm" if self.verdict and not self.verdict.right else "like the agreed filter, or better"
         lines += [f"{one.drive}: {'; '.join(one.faults) or fine}" for one in self.drives]
         if self.status == RIGHT and self.verdict and not self.verdict.right:

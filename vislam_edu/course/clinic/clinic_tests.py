@@ -32,6 +32,7 @@ WIDTH = 5.0  # standard deviations of healthy readings on either side of their m
 FLOOR = 0.03  # on a logarithmic scale (ln): readings without scatter agree to a few per cent on every machine
 SMALLEST, LARGEST = 1e-6, 1e6  # readings are clipped: beyond, they depend on the machine's rounding
 HEADING = "heading sigma, times that at the start"  # a reading of two tests
+ORIGIN = np.eye(4)  # world_T_imu of the first frame, if nothing else is said
 
 Readings = dict[str, float]
 
@@ -76,29 +77,27 @@ def standing_drive(seed: int) -> Drive:
     return simulate.add_noise(still, seed)
 
 
-def steps(build: Build, drive: Drive, seed: int, gate: float = 1, world_T_start: np.ndarray | None = None):
+def steps(build: Build, drive: Drive, seed: int, gate: float = 1, world_T_start: np.ndarray = ORIGIN):
     """A patient's steps over a drive, from a pose that is off the truth by a draw from the claimed covariance."""
     recording = build.recording(drive)
     recording = recording.replace(camera=build.camera(recording.camera))
     noise = build.noise(NOISE)
     error = np.random.default_rng((seed, 100)).multivariate_normal(np.zeros(6), NOISE.initial_pose_covariance)
-    start = (np.eye(4) if world_T_start is None else world_T_start) @ se3.exp(-error)
     return window_slam.run(recording, noise, build.error_state(recording.camera), motion_model=build.motion_model,
-                           process_frame=build.process_frame, gate=gate, world_T_imu=start)
+                           process_frame=build.process_frame, gate=gate, world_T_imu=world_T_start @ se3.exp(-error))
 
 
-def driven(build: Build, drive: Drive, seed: int, world_T_start: np.ndarray | None = None) -> Run:
+def driven(build: Build, drive: Drive, seed: int, world_T_start: np.ndarray = ORIGIN) -> Run:
     """Run a patient; one whose numbers cease to be finite, or its covariance positive, is stopped there."""
     with np.errstate(all="ignore"):
         return attempt(steps(build, drive, seed, world_T_start=world_T_start))
 
 
-def numbers_of(run: Run, drive: Drive, world_T_start: np.ndarray | None = None) -> Readings:
+def numbers_of(run: Run, drive: Drive, world_T_start: np.ndarray = ORIGIN) -> Readings:
     """RMSE of the position, m, mean NIS (4 is honest) and mean NEES of the pose (6)."""
     if run.problem:
         return {"RMSE": LARGEST, "NIS": LARGEST, "NEES": LARGEST}
-    true: Any = drive.true_world_T_imu  # every drive here has truth
-    true = true if world_T_start is None else world_T_start @ true
+    true = world_T_start @ np.asarray(drive.true_world_T_imu)  # every drive here has truth
     nees = run.nees(true).mean()
     return {"RMSE": np.sqrt(np.mean(run.errors(true)**2)), "NIS": run.mean_nis,
             "NEES": nees if nees < np.inf else LARGEST}
