@@ -84,9 +84,6 @@ def candidates(belief: Belief, new: np.ndarray, old: np.ndarray, error_state: Er
     return Candidates(new, old, belief.landmarks[rows], A @ belief.covariance @ A.T)
 
 
-# --- three ways to choose -----------------------------------------------------------------------------------
-
-
 def nearest_neighbour(both: Candidates, gate: float = 0.99) -> Pairs:
     """Each new landmark takes the nearest old one (smallest NIS) that passes its own gate and is still free."""
     nis, pairs = both.nis(), []
@@ -166,9 +163,6 @@ def joint_compatibility(both: Candidates, gate: float = 0.99) -> Pairs:
     for node in branch_and_bound(both, gate):
         best = node.best
     return best
-
-
-# --- closing ------------------------------------------------------------------------------------------------
 
 
 def constraint(belief: Belief, pairs: Pairs, error_state: ErrorState) -> tuple[np.ndarray, np.ndarray]:

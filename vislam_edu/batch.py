@@ -76,10 +76,9 @@ class Estimate:
     def retract(self, delta: np.ndarray, anchor: np.ndarray) -> Estimate:
         """The estimate after a step delta (6T + 3M + 4 + L,), the same to first order as T exp(epsilon^) and m + delta.
 
-        anchor : (M,), for each landmark a frame that sees it.
         Steps are large at first: a heading wrong by 30 degrees turns all that follows, and on straight lines the path
         would tear. So the twist along each step of the path is corrected, the steps are joined anew, and each landmark
-        moves with its anchor. The IMU's residual is then linear, however large the step.
+        moves with its anchor, (M,), a frame that sees it. The IMU's residual is then linear, however large the step.
         """
         ends = np.cumsum([self.world_T_imu.shape[0] * 6, self.landmarks.size, 4])
         epsilon, landmarks, imu, lens = np.split(delta, ends)
@@ -234,15 +233,11 @@ def in_front_again(problem: Problem, estimate: Estimate) -> Estimate:
     """The estimate with every landmark that lies behind one of its cameras begun anew: it has no derivative there."""
     drive = problem.drive
     points = drive.camera.to_cam(estimate.world_T_imu[drive.frame], estimate.landmarks[problem.landmark])
-    lost = np.unique(problem.landmark[points[:, 2] <= 0])
-    if not len(lost):
+    lost = np.isin(np.arange(drive.n_landmarks), problem.landmark[points[:, 2] <= 0])
+    if not lost.any():
         return estimate
-    landmarks = estimate.landmarks.copy()
-    landmarks[lost] = nearest_views(problem, estimate.world_T_imu)[lost]
-    return replace(estimate, landmarks=landmarks)
-
-
-# --- residuals and their derivatives ------------------------------------------------------------------------
+    anew = nearest_views(problem, estimate.world_T_imu)
+    return replace(estimate, landmarks=np.where(lost[:, None], anew, estimate.landmarks))
 
 
 def path_twists(world_T_imu: np.ndarray, taus: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -318,9 +313,6 @@ def linearise(problem: Problem, estimate: Estimate) -> Linearised:
     cost = r @ r + cost_px.sum() + np.sum((r_constants[free] / problem.sigma_constants[free])**2)
     return Linearised(problem, float(cost), r, J, J_imu, root[..., 0] * r_px, root * J_pose, root * J_landmark,
                       root * J_lens, r_constants)
-
-
-# --- iterations ---------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, eq=False)

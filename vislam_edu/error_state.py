@@ -19,6 +19,9 @@ from . import se3, stereo
 from .belief import FARTHEST, Belief, homogeneous
 from .stereo import StereoCamera
 
+Pair = tuple[np.ndarray, np.ndarray]
+Triple = tuple[np.ndarray, np.ndarray, np.ndarray]
+
 
 class ErrorState(ABC):
     """Interface that every error state implements. Errors in m and rad, but for landmarks of inverse depth.
@@ -37,8 +40,7 @@ class ErrorState(ABC):
     pose_rows = ("forward", "left", "up", "roll", "pitch", "yaw")
 
     @abstractmethod
-    def pose_transition(self, after: np.ndarray, increment: np.ndarray,
-                        body_noise: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def pose_transition(self, after: np.ndarray, increment: np.ndarray, body_noise: np.ndarray) -> Pair:
         """How an error of the pose, and of the twist, becomes an error one step later.
 
         after : (4, 4) world_T_imu at the end of the step. increment : (4, 4), exp(tau u^), the step itself.
@@ -51,8 +53,7 @@ class ErrorState(ABC):
         """(n, 3, 6): error of the twist to error of each landmark; zeros where it moves none."""
 
     @abstractmethod
-    def measure(self, camera: StereoCamera, world_T_imu: np.ndarray,
-                points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def measure(self, camera: StereoCamera, world_T_imu: np.ndarray, points: np.ndarray) -> Triple:
         """Where the camera sees each landmark, and how an error changes its pixels [u_left, v, u_right].
 
         Returns q (n, 4), homogeneous in the camera frame, as `StereoCamera.project_homogeneous` takes it, and H in two
@@ -65,7 +66,7 @@ class ErrorState(ABC):
 
     @abstractmethod
     def triangulate(self, camera: StereoCamera, world_T_imu: np.ndarray, pixels: np.ndarray, sigma_px: float,
-                    min_disparity: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+                    min_disparity: float) -> Triple:
         """New landmarks from pixels (n, 4): points (n, ...), their own covariances (n, 3, 3), and ok (n,) bool.
 
         sigma_px : px. min_disparity : px. The covariance is that of the pixels alone, for a known pose. Where not ok,
@@ -77,8 +78,7 @@ class ErrorState(ABC):
         """G (n, 3, 6): what the error of a new landmark takes over from the error of the pose that saw it."""
 
     @abstractmethod
-    def retract(self, world_T_imu: np.ndarray, points: np.ndarray,
-                delta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def retract(self, world_T_imu: np.ndarray, points: np.ndarray, delta: np.ndarray) -> Pair:
         """The state, pose (4, 4) and points, after an error delta (3n+6,) has been estimated."""
 
     @abstractmethod
@@ -114,8 +114,7 @@ class WorldPoints(ErrorState):
     """An error state whose landmarks are points of the world, m; `jacobians` and `birth` say what differs."""
 
     @abstractmethod
-    def jacobians(self, world_T_imu: np.ndarray, landmarks: np.ndarray,
-                  J: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def jacobians(self, world_T_imu: np.ndarray, landmarks: np.ndarray, J: np.ndarray) -> Pair:
         """How an error changes what the cameras measure: H of a measurement of each landmark, in two parts.
 
         J : (n, m, 3), derivative of the m numbers by the point in the IMU frame. landmarks : (n, 3).
@@ -123,14 +122,13 @@ class WorldPoints(ErrorState):
         """
 
     @abstractmethod
-    def birth(self, world_T_imu: np.ndarray, points_imu: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def birth(self, world_T_imu: np.ndarray, points_imu: np.ndarray) -> Pair:
         """What a new landmark inherits: its error = G (pose error) + A (error of its triangulation in the IMU frame).
 
         points_imu : (n, 3). Returns G (n, 3, 6) and A (3, 3).
         """
 
-    def measure(self, camera: StereoCamera, world_T_imu: np.ndarray,
-                points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def measure(self, camera: StereoCamera, world_T_imu: np.ndarray, points: np.ndarray) -> Triple:
         """`jacobians` with the J of the camera; see `ErrorState.measure`."""
         points_cam = camera.to_cam(world_T_imu, points)
         J = camera.measurement_jacobian(points_cam)[:, stereo.ROWS]
@@ -142,7 +140,7 @@ class WorldPoints(ErrorState):
         return stereo.second_order(predicted, explained)
 
     def triangulate(self, camera: StereoCamera, world_T_imu: np.ndarray, pixels: np.ndarray, sigma_px: float,
-                    min_disparity: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+                    min_disparity: float) -> Triple:
         """Points (n, 3), m, of a disparity above min_disparity, and A C A^T, C in the IMU frame."""
         points_cam, ok = camera.triangulate(pixels, min_disparity)
         A = self.birth(world_T_imu, se3.transform(camera.imu_T_cam, points_cam))[1] @ camera.imu_T_cam[:3, :3]
@@ -170,8 +168,7 @@ class RightPerturbation(WorldPoints):
 
     name = "right perturbation"
 
-    def pose_transition(self, after: np.ndarray, increment: np.ndarray,
-                        body_noise: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def pose_transition(self, after: np.ndarray, increment: np.ndarray, body_noise: np.ndarray) -> Pair:
         """F = exp(-tau u_curly); B is the body's own noise. Source: report section 3.3.1."""
         return se3.adjoint(se3.inverse(increment)), body_noise
 
@@ -179,8 +176,7 @@ class RightPerturbation(WorldPoints):
         """Zeros: the motion of the car changes no landmark error."""
         return np.zeros((len(landmarks), 3, 6))
 
-    def jacobians(self, world_T_imu: np.ndarray, landmarks: np.ndarray,
-                  J: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def jacobians(self, world_T_imu: np.ndarray, landmarks: np.ndarray, J: np.ndarray) -> Pair:
         """J R^T  and  -J [I, -s^],  s (n, 3) the points in the IMU frame.
 
         Source: report section 3.3.1 (the circled-dot form).
@@ -188,14 +184,13 @@ class RightPerturbation(WorldPoints):
         s = se3.transform(se3.inverse(world_T_imu), landmarks)
         return J @ world_T_imu[:3, :3].T, np.concatenate([-J, J @ se3.so3_hat(s)], axis=-1)
 
-    def birth(self, world_T_imu: np.ndarray, points_imu: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def birth(self, world_T_imu: np.ndarray, points_imu: np.ndarray) -> Pair:
         """G = R [I, -s^] and A = R,  s (n, 3) the points in the IMU frame."""
         R = world_T_imu[:3, :3]
         n = len(points_imu)
         return np.concatenate([np.broadcast_to(R, (n, 3, 3)), -R @ se3.so3_hat(points_imu)], axis=-1), R
 
-    def retract(self, world_T_imu: np.ndarray, landmarks: np.ndarray,
-                delta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def retract(self, world_T_imu: np.ndarray, landmarks: np.ndarray, delta: np.ndarray) -> Pair:
         """T exp(epsilon^) and m + delta."""
         n = len(landmarks)
         return world_T_imu @ se3.exp(delta[3 * n:]), landmarks + delta[:3 * n].reshape(n, 3)
@@ -226,8 +221,7 @@ class InvariantPose(ErrorState):
     role = "invariant"
     pose_rows = ("x_p x", "x_p y", "x_p z", "x_R x", "x_R y", "x_R z")
 
-    def pose_transition(self, after: np.ndarray, increment: np.ndarray,
-                        body_noise: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def pose_transition(self, after: np.ndarray, increment: np.ndarray, body_noise: np.ndarray) -> Pair:
         """F = I, whatever the car does; an error of the twist enters through the adjoint of the pose."""
         return np.eye(6), se3.adjoint(after) @ body_noise
 
@@ -260,19 +254,17 @@ class RightInvariant(InvariantPose, WorldPoints):
         """m^ B_R. The landmark stands still, but its error is expressed relative to the turned world."""
         return se3.so3_hat(landmarks) @ B[3:]
 
-    def jacobians(self, world_T_imu: np.ndarray, landmarks: np.ndarray,
-                  J: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def jacobians(self, world_T_imu: np.ndarray, landmarks: np.ndarray, J: np.ndarray) -> Pair:
         """J R^T on the landmark and [-J R^T, 0] on the pose: rotation has dropped out."""
         H = J @ world_T_imu[:3, :3].T
         return H, np.concatenate([-H, np.zeros_like(H)], axis=-1)
 
-    def birth(self, world_T_imu: np.ndarray, points_imu: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def birth(self, world_T_imu: np.ndarray, points_imu: np.ndarray) -> Pair:
         """G = [I, 0]: a new landmark inherits the position error as it is. A = R."""
         n = len(points_imu)
         return np.broadcast_to(np.eye(3, 6), (n, 3, 6)), world_T_imu[:3, :3]
 
-    def retract(self, world_T_imu: np.ndarray, landmarks: np.ndarray,
-                delta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def retract(self, world_T_imu: np.ndarray, landmarks: np.ndarray, delta: np.ndarray) -> Pair:
         """The exponential of SE_{1+n}(3): one rotation, and its left Jacobian on every translation."""
         n = len(landmarks)
         x_R = delta[3 * n + 3:]
@@ -319,8 +311,7 @@ class InverseDepth(InvariantPose):
         M, rho = homogeneous(points)
         return _rho_inverse_D(points) @ (se3.so3_hat(M) @ B[3:] - rho[:, None, None] * B[:3])
 
-    def measure(self, camera: StereoCamera, world_T_imu: np.ndarray,
-                points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def measure(self, camera: StereoCamera, world_T_imu: np.ndarray, points: np.ndarray) -> Triple:
         """H of the pose is zero, all six columns. Nothing is divided by rho."""
         cam_T_world = camera.cam_T_imu @ se3.inverse(world_T_imu)
         chart, y = cam_T_world[:3, :3] @ points[..., :4], points[..., 4]
@@ -337,7 +328,7 @@ class InverseDepth(InvariantPose):
         return np.zeros_like(predicted)
 
     def triangulate(self, camera: StereoCamera, world_T_imu: np.ndarray, pixels: np.ndarray, sigma_px: float,
-                    min_disparity: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+                    min_disparity: float) -> Triple:
         """y of the pixels, every landmark at once: min_disparity is not used."""
         A, offset = camera.inverse_depth_of_pixels
         points = np.empty((len(pixels), 3, 5))
@@ -349,8 +340,7 @@ class InverseDepth(InvariantPose):
         """Zeros: motion makes the correlation, not birth."""
         return np.zeros((len(points), 3, 6))
 
-    def retract(self, world_T_imu: np.ndarray, points: np.ndarray,
-                delta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def retract(self, world_T_imu: np.ndarray, points: np.ndarray, delta: np.ndarray) -> Pair:
         """Pose and charts move by exp(x^), y by eta."""
         n = len(points)
         move, moved = se3.exp(delta[3 * n:]), self.shifted(points, delta[:3 * n].reshape(n, 3))

@@ -55,9 +55,9 @@ class ImuSamples:
     noise: ImuNoise = ADIS16448
 
     def __post_init__(self) -> None:
-        for name in ("times", "gyro", "accelerometer"):
+        n = np.size(self.times)
+        for name, shape in (("times", (n,)), ("gyro", (n, 3)), ("accelerometer", (n, 3))):
             value = np.array(getattr(self, name), dtype=float)
-            shape = (np.size(self.times),) if name == "times" else (np.size(self.times), 3)
             if value.shape != shape:
                 raise DriveError(f"imu {name}: shape {value.shape}, expected {shape}")
             if not np.isfinite(value).all():
@@ -105,10 +105,8 @@ def to_imu_order(error_state: ErrorState, world_T_imu: np.ndarray, velocity: np.
 class AccelerometerDriven(motion.MotionModel):
     """The motion model of a real IMU: nine states join the pose, motion = [velocity, gyro bias, accelerometer bias].
 
-    drive : Drive with samples, `Drive.imu`. noise : Noise; the IMU's own is that of the samples.
-    error_state : `ErrorState`. begin : `imu.State` at frame 0 and its covariance (15, 15), in the order of `imu`; by
-    default `initial`.
-    Raises DriveError for a drive without samples.
+    begin : state at frame 0 and its covariance (15, 15), in the order of `imu`; by default `initial`. The IMU's own
+    noise is that of the samples. Raises DriveError for a drive without samples.
     """
 
     def __init__(self, drive: Drive, noise: Noise, error_state: ErrorState,
@@ -143,10 +141,6 @@ class AccelerometerDriven(motion.MotionModel):
         return motion.Transition(after, np.concatenate([end.velocity, belief.motion[3:]]), F,
                                  moved(belief.points, (F - np.eye(15))[:6]), N, moved(belief.points, N[:6]), Q)
 
-    def predict(self, belief: Belief, k: int) -> Belief:
-        """The belief at frame k + 1 before the camera update."""
-        return motion.propagate(belief, self.transition(belief, k))
-
     def retract_motion(self, belief: Belief, delta: np.ndarray) -> np.ndarray:
         """The velocity is corrected as a position is, the biases by a sum."""
         as_pose = se3.pose(belief.world_T_imu[:3, :3], belief.motion[:3])
@@ -160,8 +154,7 @@ def state_of(belief: Belief) -> State:
     return State(T[:3, :3], T[:3, 3], values[:3], values[3:6], values[6:9])
 
 
-def true_states(start: np.ndarray, world_T_imu: np.ndarray, velocities: np.ndarray,
-                biases: np.ndarray) -> list[State]:
+def true_states(start: np.ndarray, world_T_imu: np.ndarray, velocities: np.ndarray, biases: np.ndarray) -> list[State]:
     """The truth in the world in which an estimate begins, at the pose `start` (4, 4): its state at each of T frames.
 
     world_T_imu : (T, 4, 4). velocities : (T, 3), m/s. biases : (T, 6), rad/s and m/s^2.

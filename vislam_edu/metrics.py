@@ -47,23 +47,18 @@ def _with_truth(true: np.ndarray, estimated: np.ndarray) -> tuple[np.ndarray, np
     return true[known], estimated[known]
 
 
-# --- accuracy -----------------------------------------------------------------------------------------------
-
-
 def align(true: np.ndarray, estimated: np.ndarray) -> np.ndarray:
     """The rigid motion that brings the estimated positions closest to the true ones, least squares, no scale.
 
     true, estimated : (T, 4, 4). Returns true_T_estimated (4, 4): compare `true` with `true_T_estimated @ estimated`.
     Positions on one straight line leave the turn about that line open; one of the best is returned.
-    Source: Umeyama, Least-squares estimation of transformation parameters between two point patterns, PAMI
-    1991.
+    Source: Umeyama, Least-squares estimation of transformation parameters between two point patterns, PAMI 1991.
     """
     true, estimated = _with_truth(true, estimated)
     p, q = true[:, :3, 3], estimated[:, :3, 3]
     p_mean, q_mean = p.mean(axis=0), q.mean(axis=0)
     U, _, Vt = np.linalg.svd((p - p_mean).T @ (q - q_mean))
-    # -1 where the best orthogonal matrix would be a reflection.
-    mirror = np.sign(np.linalg.det(U) * np.linalg.det(Vt))
+    mirror = np.sign(np.linalg.det(U) * np.linalg.det(Vt))  # -1 where the best orthogonal matrix is a reflection
     R = U @ np.diag([1, 1, mirror]) @ Vt
     return se3.pose(R, p_mean - R @ q_mean)
 
@@ -91,19 +86,17 @@ def kitti_drift(true: np.ndarray, estimated: np.ndarray, lengths: Sequence[float
                 every: int = 10) -> tuple[float, float]:
     """KITTI's drift: error of the motion over pieces of road, relative to their length.
 
-    A piece starts at every 10th frame and ends at the first frame that is more than `length` metres further
-    along the true path; its error is the last pose as seen from the first, true against estimated. The result
-    is the mean over all pieces of all lengths.
+    A piece starts at every 10th frame and ends at the first frame that is more than `length` metres further along the
+    true path; its error is the last pose as seen from the first. The result is the mean over all pieces of all lengths.
 
     true, estimated : (T, 4, 4). lengths : m. every : frames between starts.
-    Returns (per cent, deg/m). Both are NaN when the drive is no longer than the shortest length: give shorter
-    lengths then, say (10, 20, 50), and name them beside the figure.
-    Source: KITTI odometry development kit, evaluate_odometry.cpp; Geiger et al., Are we ready for autonomous
-    driving?, CVPR 2012. The benchmark takes poses of the left camera.
+    Returns (per cent, deg/m), NaN when the drive is no longer than the shortest length: give shorter ones, say
+    (10, 20, 50), and name them beside the figure.
+    Source: KITTI odometry development kit, evaluate_odometry.cpp (on poses of the left camera); Geiger et al., Are we
+    ready for autonomous driving?, CVPR 2012.
     """
     true, estimated = _with_truth(true, estimated)
-    steps = np.linalg.norm(np.diff(true[:, :3, 3], axis=0), axis=-1)
-    travelled = np.concatenate([[0.0], np.cumsum(steps)])
+    travelled = np.cumsum(np.linalg.norm(np.diff(true[:, :3, 3], axis=0, prepend=true[:1, :3, 3]), axis=-1))
     starts = np.arange(0, len(true), every)
     first, length = np.repeat(starts, len(lengths)), np.tile(np.asarray(lengths, dtype=float), len(starts))
     last = np.searchsorted(travelled, travelled[first] + length, side="right")
@@ -111,23 +104,11 @@ def kitti_drift(true: np.ndarray, estimated: np.ndarray, lengths: Sequence[float
     if not whole.any():
         return np.nan, np.nan
     first, last, length = first[whole], last[whole], length[whole]
-    E = _motion_error(true, estimated, first, last)
-    translation = np.linalg.norm(E[:, :3, 3], axis=-1) / length
-    return float(100 * translation.mean()), float(np.degrees((_angle(E) / length).mean()))
-
-
-def _motion_error(true: np.ndarray, estimated: np.ndarray, first: np.ndarray, last: np.ndarray) -> np.ndarray:
-    """(n, 4, 4): estimated motion from frames `first` to `last`, as seen from the end of the true one."""
     true_motion = se3.inverse(true[first]) @ true[last]
-    return se3.inverse(true_motion) @ se3.inverse(estimated[first]) @ estimated[last]
-
-
-def _angle(T: np.ndarray) -> np.ndarray:
-    """(n,) rotation angle, rad."""
-    return np.linalg.norm(se3.so3_log(T[:, :3, :3]), axis=-1)
-
-
-# --- consistency --------------------------------------------------------------------------------------------
+    error = se3.inverse(true_motion) @ se3.inverse(estimated[first]) @ estimated[last]
+    translation = np.linalg.norm(error[:, :3, 3], axis=-1) / length
+    rotation = np.linalg.norm(se3.so3_log(error[:, :3, :3]), axis=-1) / length
+    return float(100 * translation.mean()), float(np.degrees(rotation.mean()))
 
 
 def nees(error: np.ndarray, covariance: np.ndarray) -> np.ndarray:
@@ -136,8 +117,7 @@ def nees(error: np.ndarray, covariance: np.ndarray) -> np.ndarray:
     Its mean is then n. Far above n the filter is overconfident, far below it wastes what it measured.
 
     error : (..., n). covariance : (..., n, n), positive definite. Returns (...).
-    Source: Bar-Shalom, Li, Kirubarajan, Estimation with Applications to Tracking and Navigation, section
-    5.4.2.
+    Source: Bar-Shalom, Li, Kirubarajan, Estimation with Applications to Tracking and Navigation, section 5.4.2.
     """
     covariance = (covariance + np.swapaxes(covariance, -1, -2)) / 2  # a Cholesky factorisation reads one triangle only
     whitened = np.linalg.solve(np.linalg.cholesky(covariance), np.asarray(error)[..., None])[..., 0]
@@ -181,13 +161,12 @@ def pose_nees(error_state: ErrorState, true_world_T_imu: np.ndarray, world_T_imu
 def average_nis(steps: Iterable[Step]) -> float:
     """Mean NIS of one stereo measurement over all steps of a filter; 4 if prediction and pixel noise are honest.
 
-    steps : iterable of `Step`. Gated measurements count too: leaving out the large ones would flatter the
-    filter. A point predicted behind the camera has no NIS (it is infinite there) and is left out.
-    NaN when nothing was ever predicted.
+    Gated measurements count too: leaving out the large ones would flatter the filter. A point predicted behind the
+    camera has no NIS (it is infinite there) and is left out. NaN when nothing was ever predicted.
 
-    v_left and v_right share one prediction, yet both carry noise of their own, so there are 4 degrees of
-    freedom, not 3. Measurements of one frame share the error of the pose, so their sum is no chi-square; the
-    mean is right all the same.
+    v_left and v_right share one prediction, yet both carry noise of their own, so there are 4 degrees of freedom, not
+    3. Measurements of one frame share the error of the pose, so their sum is no chi-square; the mean is right all the
+    same.
     Source: Bar-Shalom et al., section 5.4.2.
     """
     return mean_nis(np.concatenate([np.empty(0), *(step.innovation.nis for step in steps)]))

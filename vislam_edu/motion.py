@@ -114,8 +114,12 @@ class MotionModel(ABC):
         """The belief at frame 0, at the pose (4, 4) given or at the identity."""
 
     @abstractmethod
+    def transition(self, belief: Belief, k: int) -> Transition:
+        """From frame k to frame k + 1."""
+
     def predict(self, belief: Belief, k: int) -> Belief:
         """The belief at frame k + 1 before the camera update, from the one at frame k."""
+        return propagate(belief, self.transition(belief, k))
 
     def second_prediction(self, belief: Belief, k: int) -> Callable[[np.ndarray], tuple[Belief, np.ndarray]] | None:
         """`UpdateSettings.predict_again` for the step from frame k; None where one linearisation is enough."""
@@ -125,7 +129,6 @@ class MotionModel(ABC):
 class ImuDriven(MotionModel):
     """The report's motion model: the IMU is the input, its white noise the only thing that moves the error.
 
-    drive : Drive. noise : Noise. error_state : `ErrorState`.
     Source: report section 3.3.1.
     """
 
@@ -150,13 +153,8 @@ class ImuDriven(MotionModel):
     def _linearised(self, belief: Belief, after: np.ndarray, increment: np.ndarray,
                     body_noise: np.ndarray) -> Transition:
         F, B = self.error_state.pose_transition(after, increment, body_noise)
-        n = len(belief.ids)
-        return Transition(after, belief.motion, F, np.zeros((n, 3, 6)), B,
+        return Transition(after, belief.motion, F, np.zeros((len(belief.ids), 3, 6)), B,
                           self.error_state.landmark_transition(belief.points, B), self.Q)
-
-    def predict(self, belief: Belief, k: int) -> Belief:
-        """The belief at frame k + 1 before the camera update."""
-        return propagate(belief, self.transition(belief, k))
 
     def second_prediction(self, belief: Belief, k: int) -> Callable[[np.ndarray], tuple[Belief, np.ndarray]] | None:
         """`predict_again`, for an error state that is `iterated`."""
@@ -188,7 +186,6 @@ class TwistAndBias(MotionModel):
     the twist is a state, a random walk; the IMU is a noisy measurement of twist + bias; and the pose moves along the
     estimated twist. Nine states join the pose block: motion = [v, omega, gyro bias].
 
-    drive : Drive. noise : Noise, its sigmas those of one IMU sample. error_state : `ErrorState`.
     walk_v, walk_omega : m/s and rad/s per frame, how much the twist may change. walk_bias : rad/s per frame.
     Source: Barfoot, State Estimation for Robotics, section 3.4 (white noise on acceleration as a motion prior).
     """
@@ -232,5 +229,4 @@ class TwistAndBias(MotionModel):
 
     def predict(self, belief: Belief, k: int) -> Belief:
         """The belief at frame k + 1 before the camera update."""
-        measured = self.measure_imu(belief, k)
-        return propagate(measured, self.transition(measured, k))
+        return super().predict(self.measure_imu(belief, k), k)

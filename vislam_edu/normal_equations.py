@@ -73,7 +73,6 @@ class NormalEquations:
         return np.concatenate([step[:len(self.B)], constants])
 
 
-
 class Factorised:
     """The normal equations ready to be solved: landmarks eliminated first, then the poses, then the constants.
 

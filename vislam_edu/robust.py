@@ -57,18 +57,18 @@ def update(prior: Belief, ids: np.ndarray, pixels: np.ndarray, settings: UpdateS
     passed = innovation.accepted
     if not passed.any():
         return prior, innovation
-    blocks = H.only(passed).blocks(len(prior.ids))
+    H = H.only(passed)
     residual = innovation.residual[passed]
     rows, sigma2 = stereo.reduce_rows(residual), settings.noise.sigma_px**2
     variance = sigma2 * stereo.ROW_VARIANCE
     between_rows = (residual[:, 1] - residual[:, 3]) ** 2 / (2 * sigma2)  # v_left - v_right, which no state predicts
     squared = innovation.nis[passed]
-    HPH = blockwise.times_H(blockwise.times_H(prior.covariance, *blocks).T, *blocks)
+    HPH = H.times(H.times(prior.covariance).T)
     for _ in range(ROUNDS):  # with S = H P H^T + V/w an update leaves r - H delta = V/w S^-1 r: no delta is needed
         noise = variance / weights(squared)[:, None]
         left = noise * np.linalg.solve(HPH + np.diag(noise.ravel()), rows.ravel()).reshape(-1, 3)
         squared = np.sum(left**2 / variance, axis=-1) + between_rows
-    delta, covariance = blockwise.absorb(prior.covariance, *blocks, rows, noise)
+    delta, covariance = blockwise.absorb(prior.covariance, H, rows, noise)
     accepted = passed.copy()
     accepted[passed] = squared <= settings.threshold
     posterior = motion.retract(prior, delta, covariance, settings.error_state, settings.retract_motion)
@@ -81,7 +81,7 @@ class RealDrive(motion.TwistAndBias):
     From one frame to the next a landmark walks by what `slip_px` px in each coordinate of its image are worth. The
     default walks of the twist suit a car at ten frames a second.
 
-    drive : Drive. noise : Noise. error_state : `ErrorState`. walk_v, walk_omega : m/s and rad/s per frame.
+    walk_v, walk_omega : m/s and rad/s per frame.
     """
 
     slip_floor, slip_of_zoom = 0.1, 2.0  # px a frame; px at a zoom by e, whose square grows with the zoom

@@ -34,7 +34,7 @@ import numpy as np
 from scipy.linalg import cholesky, solve_triangular
 from threadpoolctl import threadpool_limits
 
-from . import blockwise, motion, robust, stereo, window_slam
+from . import motion, robust, stereo, window_slam
 from .belief import Belief, Step
 from .drive import Drive
 from .error_state import ErrorState, RightPerturbation
@@ -43,45 +43,42 @@ from .motion import Transition
 from .noise import Noise
 from .window_slam import UpdateSettings
 
+Adjoint = tuple[np.ndarray, np.ndarray]  # lambda (d, 1) and Lambda (d, d)
+
 
 def _indices(rows: np.ndarray) -> np.ndarray:
     """Rows of the state of the landmarks at `rows` of the window."""
     return (3 * rows[:, None] + np.arange(3)).ravel()
 
 
-def _undo_update(lam: np.ndarray, Lam: np.ndarray, step: Step,
-                 settings: UpdateSettings) -> tuple[np.ndarray, np.ndarray]:
-    """Back through the update of one frame. lam (d, 1), Lam (d, d), over the landmarks of the prior."""
+def _undo_update(lam: np.ndarray, Lam: np.ndarray, step: Step, settings: UpdateSettings) -> Adjoint:
+    """Back through the update of one frame. lam, Lam : over the landmarks of the prior."""
     prior, accepted = step.prior, step.innovation.accepted
     if not accepted.any():
         return lam, Lam
-    linearised, _ = window_slam.linearise(prior, step.innovation.ids, settings)
-    prior, _, linearised, residual, _ = window_slam.relinearise(prior, linearised, step.innovation, settings)
-    H, residual = linearised.blocks(len(prior.ids)), stereo.reduce_rows(residual)
-    HP = blockwise.times_H(prior.covariance, *H)
-    S = blockwise.times_H(HP.T, *H)
+    H, _ = window_slam.linearise(prior, step.innovation.ids, settings)
+    prior, _, H, residual, _ = window_slam.relinearise(prior, H, step.innovation, settings)
+    HP = H.times(prior.covariance)
+    S = H.times(HP.T)
     S[np.diag_indices(len(S))] += np.tile(settings.noise.sigma_px**2 * stereo.ROW_VARIANCE, len(residual))
     L = cholesky(S, lower=True, check_finite=False)
 
     def solve(b: np.ndarray, trans: str = "N") -> np.ndarray:
         return solve_triangular(L, b, lower=True, trans=trans, check_finite=False)
 
-    def times_HT(X: np.ndarray) -> np.ndarray:
-        return blockwise.times_HT(X, *H, len(lam))
-
     Y = solve(HP)  # K = Y^T L^-1
-    w = solve(solve(residual.reshape(-1, 1)) - Y @ lam, "T")
+    w = solve(solve(stereo.reduce_rows(residual).reshape(-1, 1)) - Y @ lam, "T")
     Z = Y @ Lam
     M = solve(Z, "T")  # K^T Lambda
     inner = solve(solve(Z @ Y.T + np.eye(len(L)), "T").T, "T")  # K^T Lambda K + S^-1, symmetric
     # (I - K H)^T Lambda (I - K H) + H^T S^-1 H, H on one side at a time
-    HtM = times_HT(M)
-    Lam = Lam - HtM - HtM.T + times_HT(times_HT(inner).T)
-    return lam + times_HT(w), motion.symmetric(Lam)
+    d = len(lam)
+    HtM = H.transposed_times(M, d)
+    Lam = Lam - HtM - HtM.T + H.transposed_times(H.transposed_times(inner, d).T, d)
+    return lam + H.transposed_times(w, d), motion.symmetric(Lam)
 
 
-def _undo_birth(lam: np.ndarray, Lam: np.ndarray, step: Step, settings: UpdateSettings) -> tuple[np.ndarray,
-                                                                                                 np.ndarray]:
+def _undo_birth(lam: np.ndarray, Lam: np.ndarray, step: Step, settings: UpdateSettings) -> Adjoint:
     """Back to before the landmarks that `window_slam.add_correlated` added: A = [I; G], G on the pose alone."""
     belief = step.posterior
     is_new = ~window_slam.contains(step.prior.ids, belief.ids)
@@ -97,7 +94,7 @@ def _undo_birth(lam: np.ndarray, Lam: np.ndarray, step: Step, settings: UpdateSe
             motion.symmetric(Lam[np.ix_(old, old)] + cross + cross.T + A.T @ Lam[np.ix_(new, new)] @ A))
 
 
-def _undo_prediction(lam: np.ndarray, Lam: np.ndarray, n: int, transition: Transition) -> tuple[np.ndarray, np.ndarray]:
+def _undo_prediction(lam: np.ndarray, Lam: np.ndarray, n: int, transition: Transition) -> Adjoint:
     """F^T lambda and F^T Lambda F; of F only the columns of the pose differ from the identity."""
     F = transition.F_tail
     lam, Lam = lam.copy(), Lam.copy()
@@ -108,7 +105,7 @@ def _undo_prediction(lam: np.ndarray, Lam: np.ndarray, n: int, transition: Trans
 
 
 def _undo_window(final: MapBelief, before: Belief, prior: Belief, lam: np.ndarray, Lam: np.ndarray,
-                 error_state: ErrorState) -> tuple[np.ndarray, np.ndarray]:
+                 error_state: ErrorState) -> Adjoint:
     """From the landmarks of the prior back to those of the belief before it, where those that retired still were.
 
     A landmark that the prior has and the belief before has not (born before the update, the report's way) had no past:

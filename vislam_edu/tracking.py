@@ -26,7 +26,8 @@ from scipy import ndimage
 from .lens import Rig
 
 Levels = tuple[np.ndarray, ...]
-Flow = Callable[..., tuple[np.ndarray, np.ndarray]]
+Found = tuple[np.ndarray, np.ndarray]  # points (n, 2) px of another image, and ok (n,) bool
+Flow = Callable[..., Found]
 
 HALF = 7  # px: a patch has 2 HALF + 1 = 15 rows and columns, on every level of the pyramid
 _BLUR = np.array([1, 4, 6, 4, 1], np.float32) / 16  # takes away what half as many pixels could not show
@@ -101,7 +102,7 @@ def inside(image: np.ndarray, points: np.ndarray, margin: int) -> np.ndarray:
 
 
 def lucas_kanade(image: np.ndarray, other: np.ndarray, points: np.ndarray, start: np.ndarray,
-                 margin: int = HALF) -> tuple[np.ndarray, np.ndarray]:
+                 margin: int = HALF) -> Found:
     """Gauss-Newton on the grey values of one level: points of `image` found in `other`, from `start` on.
 
     Minimises sum (other(x + d) - image(p + d))^2 over x, d the pixels of the patch. The gradient g is the image's own,
@@ -124,8 +125,7 @@ def lucas_kanade(image: np.ndarray, other: np.ndarray, points: np.ndarray, start
     return found, ok
 
 
-def affine(image: np.ndarray, other: np.ndarray, points: np.ndarray, start: np.ndarray
-           ) -> tuple[np.ndarray, np.ndarray]:
+def affine(image: np.ndarray, other: np.ndarray, points: np.ndarray, start: np.ndarray) -> Found:
     """`lucas_kanade` for patches that may also grow, turn and shear: other(x + M d) is compared with image(p + d).
 
     A patch that grows pulls the translation towards the side with more texture, the same way in each frame: a track
@@ -157,7 +157,7 @@ def _template(image: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.nda
     return wide[:, 1:-1, 1:-1], g
 
 
-def _one_way(levels: Levels, other: Levels, points: np.ndarray, guess: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _one_way(levels: Levels, other: Levels, points: np.ndarray, guess: np.ndarray) -> Found:
     """From the coarsest level to the image: each level's result, times two, is the next one's start."""
     found, ok = np.array(guess, float), np.zeros(len(points), bool)
     for level in reversed(range(len(levels))):
@@ -169,7 +169,7 @@ def _one_way(levels: Levels, other: Levels, points: np.ndarray, guess: np.ndarra
 
 
 def flow(image: np.ndarray | Levels, other: np.ndarray | Levels, points: ArrayLike,
-         guess: ArrayLike | None = None) -> tuple[np.ndarray, np.ndarray]:
+         guess: ArrayLike | None = None) -> Found:
     """Where points of one image are in another one: pyramidal Lucas-Kanade, checked by going back.
 
     image, other : (h, w), or their `pyramid`. points : (n, 2) px. guess : (n, 2) px, where in `other` to begin, by

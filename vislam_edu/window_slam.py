@@ -22,6 +22,7 @@ from threadpoolctl import ThreadpoolController
 
 from . import blockwise, kalman, motion, stereo
 from .belief import NO_INNOVATION, Belief, Innovation, Step
+from .blockwise import BlockJacobian
 from .drive import Drive
 from .error_state import ErrorState, RightPerturbation
 from .noise import Noise
@@ -32,7 +33,6 @@ from .stereo import StereoCamera
 class UpdateSettings:
     """What an update needs besides the belief.
 
-    camera : StereoCamera. noise : Noise. error_state : `ErrorState`.
     threshold : largest NIS (4 degrees of freedom) of a measurement that is used.
     min_disparity : px, below it a new landmark waits for a better view.
     predict_again : from a first correction of the prior to the prior once more, linearised there, and the error that
@@ -62,38 +62,18 @@ def contains(sorted_ids: np.ndarray, ids: np.ndarray) -> np.ndarray:
     return sorted_ids[place] == ids
 
 
-@dataclass(frozen=True, eq=False)
-class Linearised:
-    """H of m measurements by blocks, three rows [u_left, v, u_right] each.
-
-    rows : (m,), where their landmarks stand in the window. H_landmark : (m, 3, 3). H_pose : (m, 3, 6).
-    """
-
-    rows: np.ndarray
-    H_landmark: np.ndarray
-    H_pose: np.ndarray
-
-    def only(self, accepted: np.ndarray) -> "Linearised":
-        """Those that are accepted, (m,) bool."""
-        return Linearised(self.rows[accepted], self.H_landmark[accepted], self.H_pose[accepted])
-
-    def blocks(self, n: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
-        """What the functions of `blockwise` take, for n landmarks in the state."""
-        return self.rows, self.H_landmark, self.H_pose, n
-
-
-def linearise(belief: Belief, ids: np.ndarray, settings: UpdateSettings) -> tuple[Linearised, np.ndarray]:
+def linearise(belief: Belief, ids: np.ndarray, settings: UpdateSettings) -> tuple[BlockJacobian, np.ndarray]:
     """H of the landmarks `ids` (m,), all in the window, and where they are: (m, 4), homogeneous, camera frame."""
     rows = np.searchsorted(belief.ids, ids)
-    q, *H = settings.error_state.measure(settings.camera, belief.world_T_imu, belief.points[rows])
-    return Linearised(rows, *H), q
+    q, H_landmark, H_pose = settings.error_state.measure(settings.camera, belief.world_T_imu, belief.points[rows])
+    return BlockJacobian(rows, H_landmark, H_pose, len(belief.ids)), q
 
 
 def compute_innovation(prior: Belief, ids: np.ndarray, pixels: np.ndarray,
-                       settings: UpdateSettings) -> tuple[Innovation, Linearised]:
+                       settings: UpdateSettings) -> tuple[Innovation, BlockJacobian]:
     """The landmarks `ids` (m,), all in the window, against their predictions, gated one by one. pixels : (m, 4)."""
     H, q = linearise(prior, ids, settings)
-    explained = blockwise.diagonal_blocks(prior.covariance, *H.blocks(len(prior.ids)))
+    explained = H.diagonal_blocks(prior.covariance)
     predicted, in_front = settings.camera.project_homogeneous(q)
     predicted = predicted + settings.error_state.mean_shift(predicted, explained)
     S = explained[:, stereo.FOUR_FROM_THREE][:, :, stereo.FOUR_FROM_THREE] + settings.noise.pixel_covariance
@@ -101,7 +81,7 @@ def compute_innovation(prior: Belief, ids: np.ndarray, pixels: np.ndarray,
     return Innovation(ids, pixels, predicted, S, nis, in_front & (nis <= settings.threshold)), H
 
 
-def apply_update(prior: Belief, H: Linearised, residual: np.ndarray, settings: UpdateSettings,
+def apply_update(prior: Belief, H: BlockJacobian, residual: np.ndarray, settings: UpdateSettings,
                  error: np.ndarray | float = 0.0) -> Belief:
     """EKF update of the whole joint belief with all the measurements of H; residual : (m, 4), px.
 
@@ -110,7 +90,7 @@ def apply_update(prior: Belief, H: Linearised, residual: np.ndarray, settings: U
     """
     if not len(residual):
         return prior
-    delta, covariance = blockwise.absorb(prior.covariance, *H.blocks(len(prior.ids)), stereo.reduce_rows(residual),
+    delta, covariance = blockwise.absorb(prior.covariance, H, stereo.reduce_rows(residual),
                                          _variance(residual, settings))
     return motion.retract(prior, delta + error, covariance, settings.error_state, settings.retract_motion)
 
@@ -119,8 +99,8 @@ def _variance(residual: np.ndarray, settings: UpdateSettings) -> np.ndarray:
     return np.tile(settings.noise.sigma_px**2 * stereo.ROW_VARIANCE, (len(residual), 1))
 
 
-def relinearise(prior: Belief, H: Linearised, innovation: Innovation,
-                settings: UpdateSettings) -> tuple[Belief, np.ndarray | float, Linearised, np.ndarray, np.ndarray]:
+def relinearise(prior: Belief, H: BlockJacobian, innovation: Innovation, settings: UpdateSettings
+                ) -> tuple[Belief, np.ndarray | float, BlockJacobian, np.ndarray, np.ndarray]:
     """A step of Gauss and Newton over prediction and update: both linearised where the first update leads.
 
     H : of all measurements of the innovation. Returns the belief at that point, the error (d,) of the prior's mean
@@ -128,18 +108,18 @@ def relinearise(prior: Belief, H: Linearised, innovation: Innovation,
     they are: a landmark behind the camera there is left out. Where a frame is linearised once, that point is the prior.
     Source: Bell, Cathey, The iterated Kalman filter update as a Gauss-Newton method, 1993.
     """
-    good, n = innovation.accepted, len(prior.ids)
+    good = innovation.accepted
     residual = innovation.residual[good]
     if settings.predict_again is None or not good.any():
         return prior, 0.0, H.only(good), residual, good
-    first = blockwise.correction(prior.covariance, *H.only(good).blocks(n), stereo.reduce_rows(residual),
+    first = blockwise.correction(prior.covariance, H.only(good), stereo.reduce_rows(residual),
                                  _variance(residual, settings))
     there, error = settings.predict_again(first)
     H, q = linearise(there, innovation.ids, settings)
     predicted, in_front = settings.camera.project_homogeneous(q)
     good = good & in_front
     H = H.only(good)
-    shift = blockwise.times_H(error[:, None], *H.blocks(n)).reshape(-1, 3)[:, stereo.FOUR_FROM_THREE]
+    shift = H.times(error[:, None]).reshape(-1, 3)[:, stereo.FOUR_FROM_THREE]
     return there, error, H, (innovation.measured - predicted)[good] - shift, good
 
 
@@ -189,8 +169,6 @@ def add_correlated(belief: Belief, ids: np.ndarray, pixels: np.ndarray, settings
     error_state, T = settings.error_state, belief.world_T_imu
     points, C, ok = error_state.triangulate(settings.camera, T, pixels, settings.noise.sigma_px, settings.min_disparity)
     ids, points = ids[ok], points[ok]
-    if len(ids) == 0:
-        return belief
     G = error_state.inherited(T, points).reshape(-1, 6)
     own = motion.symmetric(G @ belief.pose_covariance @ G.T)
     blocks, each = own.reshape(len(ids), 3, len(ids), 3), np.arange(len(ids))
@@ -217,10 +195,7 @@ def add_as_report(belief: Belief, ids: np.ndarray, pixels: np.ndarray, settings:
 
 def correct_frame(update: Callable[..., tuple[Belief, Innovation]], prior: Belief, ids: np.ndarray,
                   pixels: np.ndarray, settings: UpdateSettings) -> Frame:
-    """Known landmarks correct the state by `update`, then new ones join it, their first measurement used once.
-
-    update : called as `update(prior, ids, pixels, settings)`. Returns (prior, posterior, Innovation).
-    """
+    """Known landmarks correct the state by `update`, then new ones join it, their first measurement used once."""
     known = contains(prior.ids, ids)
     posterior, innovation = update(prior, ids[known], pixels[known], settings)
     if not known.all():

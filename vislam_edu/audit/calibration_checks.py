@@ -15,7 +15,6 @@ from .track_checks import SIGNIFICANCE, chance
 
 MIN_SADDLE = 0.4  # px at one focal length from the centre
 MIN_APART = 0.005  # of the speed
-_CUT = 4.0  # robust standard deviations: beyond, left and right show different things
 
 ADVICE = ("no constant can be fitted, since the rows do not show how the disparity is bent: calibrate the cameras "
           "anew, and do not trust a covariance without calibration error (run --calibration)")
@@ -39,7 +38,7 @@ def saddle(drive) -> tuple[float, float]:
         return np.nan, np.inf
     left = rows - np.median(rows)
     for _ in range(3):
-        inlier = np.abs(left) <= max(_CUT * 1.4826 * np.median(np.abs(left)), 1e-9)
+        inlier = np.abs(left) <= max(imu_alignment.CUT * 1.4826 * np.median(np.abs(left)), 1e-9)
         fitted = np.linalg.lstsq(A[inlier], rows[inlier], rcond=None)[0]
         left = rows - A @ fitted
     covariance = np.linalg.pinv(A[inlier].T @ A[inlier])

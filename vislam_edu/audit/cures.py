@@ -27,13 +27,14 @@ class Cure:
     def __call__(self, drive: Drive) -> Drive:
         return self.function(drive)
 
-    def __str__(self):
-        return self.name + (" (needs the whole drive)" if self.needs_future else "")
-
-
 def end_tracks(name: str, bad: Callable[[Drive], np.ndarray]) -> Cure:
     """Every track ends before its first bad observation; bad : gives (N,) bool of a drive. name : of the cure."""
-    return Cure(name, False, lambda drive: end_tracks_before(drive, bad(drive)))
+    def function(drive):
+        wrong, end = bad(drive), np.full(drive.n_landmarks, drive.n_frames)
+        np.minimum.at(end, drive.landmark[wrong], drive.frame[wrong])
+        return drive.keep_observations(drive.frame < end[drive.landmark])
+
+    return Cure(name, False, function)
 
 
 def end_tracks_at_copies() -> Cure:
@@ -52,27 +53,16 @@ def drop_tracks(drive: Drive, tracks) -> Cure:
     Other cures renumber the landmarks, so a track is known by where and when it was first seen. Needs the future: that
     a track is wrong shows over its life.
     """
-    tracks = set(np.asarray(tracks).tolist())
-    births = {birth for landmark, birth in _births(drive) if landmark in tracks}
+    def births(drive):  # of each landmark the time and the left pixel of its first observation
+        first = np.zeros((drive.n_landmarks, 3))
+        seen = np.column_stack([drive.times[drive.frame], drive.pixels[:, :2]])
+        first[drive.landmark[::-1]] = seen[::-1]  # of several writes to one row the last one stays
+        return list(map(tuple, first.tolist()))
 
-    def function(drive):
-        wrong = [landmark for landmark, birth in _births(drive) if birth in births]
-        return drive.keep_landmarks(~np.isin(np.arange(drive.n_landmarks), wrong))
-
-    return Cure(f"{len(births)} outlier tracks dropped", True, function)
-
-
-def _births(drive):
-    """Each landmark with the time and the left pixel of its first observation."""
-    for i in np.flatnonzero(drive.frame == drive.first_seen[drive.landmark]):
-        yield int(drive.landmark[i]), (float(drive.times[drive.frame[i]]), *drive.pixels[i, :2].tolist())
-
-
-def end_tracks_before(drive: Drive, bad) -> Drive:
-    """The drive without each track's first bad observation, bad (N,) bool, and everything after it."""
-    end = np.full(drive.n_landmarks, drive.n_frames)
-    np.minimum.at(end, drive.landmark[bad], drive.frame[bad])
-    return drive.keep_observations(drive.frame < end[drive.landmark])
+    born = births(drive)
+    wrong = {born[landmark] for landmark in tracks}
+    return Cure(f"{len(wrong)} outlier tracks dropped", True,
+                lambda drive: drive.keep_landmarks(np.array([birth not in wrong for birth in births(drive)], bool)))
 
 
 def use_imu_sample(sample: str) -> Cure:

@@ -21,8 +21,7 @@ from scipy.special import chdtrc
 from .. import se3
 
 ROTATION, LEVER_ARM, GYRO_BIAS = slice(0, 3), slice(3, 6), slice(6, 9)
-SPEED_SCALE, GYRO_SCALE = slice(9, 10), slice(10, 11)
-N_PARAMETERS = 11
+SPEED_SCALE, GYRO_SCALE, N_PARAMETERS = slice(9, 10), slice(10, 11), 11
 _ITERATIONS = 12
 _MIN_STEPS = 30
 _MIN_TURNING = 3.0  # variance of the rates that the cameras see, over that of their noise alone
@@ -79,8 +78,7 @@ class Alignment:
     def p_value(self, block, deviation) -> float:
         """Probability of a deviation (k,) at least that far from zero if the true one were zero (Wald's test)."""
         deviation = np.atleast_1d(deviation)
-        wald = deviation @ np.linalg.solve(self.covariance[block, block], deviation)
-        return float(chdtrc(len(deviation), wald))
+        return float(chdtrc(len(deviation), deviation @ np.linalg.solve(self.covariance[block, block], deviation)))
 
 
 def correlation(a, b):
@@ -164,35 +162,34 @@ def fit(steps, measured, seen, covariance, imu_R_cam=None) -> Alignment:
     """Gauss-Newton from a closed-form start, or with the mounting held where it is given.
 
     steps (n,) int. measured (n, 6) IMU twists, seen (n, 6) and covariance (n, 6, 6) the cameras' in their own frame.
-
     Each number weighs by its own variance, the IMU's noise (one number per axis, estimated on the way) plus the
     cameras' in that step; what lies beyond four standard deviations is left out.
     """
     R = _start(measured, seen) if imu_R_cam is None else imu_R_cam
     p, b, scales = np.zeros(3), np.zeros(3), _start_scales(measured, seen, R)
     least = np.maximum(0.7 * white_noise(measured), _LEAST_NOISE)  # a median of few samples scatters
-    for _ in range(_ITERATIONS):
+    free = slice(None) if imu_R_cam is None else slice(3, None)
+    for iteration in range(_ITERATIONS + 1):
         predicted, jacobian = _model(seen, R, p, b, scales)
         residual = measured - predicted
-        cameras = _camera_variance(R, p, covariance)
+        Ad = se3.adjoint(se3.pose(R, p))
+        cameras = np.einsum("ai,kij,aj->ka", Ad, covariance, Ad, optimize=True)  # variance along the axes of the IMU
         sigma, inlier = _imu_noise(residual, cameras, least)
+        if iteration == _ITERATIONS:
+            break
         weight = inlier / (sigma**2 + cameras)
         weighted = jacobian * weight[..., None]
         information = np.einsum("kai,kaj->ij", weighted, jacobian, optimize=True) + _PRIOR
         # At the noisy twists the Jacobian's own noise would draw the scales towards zero (errors in variables)
-        Ad = se3.adjoint(se3.pose(R, p)) * np.repeat(scales, 3)[:, None]
+        Ad = Ad * np.repeat(scales, 3)[:, None]
         _, jacobian = _model(seen + np.matvec(covariance @ Ad.T, residual * weight), R, p, b, scales)
         gradient = np.einsum("kai,ka->i", jacobian, residual * weight)
         gradient -= _PRIOR @ np.concatenate([np.zeros(3), p, b, scales - 1])
-        free = slice(None) if imu_R_cam is None else slice(3, None)
         delta = np.zeros(N_PARAMETERS)
         delta[free] = np.linalg.solve(information[free, free], gradient[free])
         R = se3.so3_exp(delta[ROTATION]) @ R
         p, b, scales = p + delta[LEVER_ARM], b + delta[GYRO_BIAS], scales + delta[9:]
-    predicted, jacobian = _model(seen, R, p, b, scales)
-    cameras = _camera_variance(R, p, covariance)
-    sigma, inlier = _imu_noise(measured - predicted, cameras, least)
-    score = np.einsum("kai,ka->ki", jacobian, (measured - predicted) * inlier / (sigma**2 + cameras))
+    score = np.einsum("kai,ka->ki", jacobian, residual * inlier / (sigma**2 + cameras))
     return Alignment(imu_R_cam=R, camera_in_imu=p, gyro_bias=b, speed_scale=float(scales[0]),
                      gyro_scale=float(scales[1]), steps=steps,
                      covariance=_honest(np.linalg.inv(information), score, steps),
@@ -211,12 +208,6 @@ def _honest(covariance, score, steps):
     sandwich = covariance @ (sums.T @ sums) @ covariance
     factor = np.sqrt(np.maximum(np.diagonal(sandwich) / np.diagonal(covariance), 1.0))
     return covariance * np.outer(factor, factor)
-
-
-def _camera_variance(R, p, covariance):
-    """(n, 6) variance of the cameras' twists, covariance (n, 6, 6), along the axes of the IMU."""
-    Ad = se3.adjoint(se3.pose(R, p))
-    return np.einsum("ai,kij,aj->ka", Ad, covariance, Ad, optimize=True)
 
 
 def _start(measured, seen):

@@ -10,7 +10,6 @@ import numpy as np
 from .. import plots
 from ..drive import Drive
 from ..plots import style
-from ..plots.text import on_a_page
 from . import imu_alignment, imu_timing, track_health
 from .cures import Cure
 from .imu_alignment import Alignment
@@ -42,21 +41,14 @@ class Finding:
     advice: str
     whole: bool = False
 
-    @property
-    def confidence(self) -> float:
-        """1 - p_value."""
-        return 1 - self.p_value
 
     def __str__(self):
-        if self.p_value == 0:
-            certainty = "certain"
-        else:
-            certainty = f"p = {self.p_value:.0e}" if self.p_value > 1e-99 else "p < 1e-99"
+        certainty = f"p = {self.p_value:.0e}" if self.p_value > 1e-99 else "p < 1e-99" if self.p_value else "certain"
         return f"{self.fault}: {self.text} [{certainty}]\n    cure: {self.advice}"
 
     def to_dict(self) -> dict:
         return {"fault": self.fault, "size": self.size, "unit": self.unit, "p_value": self.p_value,
-                "confidence": self.confidence, "text": self.text, "advice": self.advice,
+                "confidence": 1 - self.p_value, "text": self.text, "advice": self.advice,
                 "cure": self.cure and self.cure.name, "needs_future": self.cure and self.cure.needs_future,
                 "whole": self.whole}
 
@@ -148,7 +140,7 @@ class Report:
         lines += ["", plots.on_a_page(self._verdict())]
         for i, finding in enumerate(self.findings, start=1):
             future = " (needs the whole drive)" if finding.cure and finding.cure.needs_future else ""
-            lines.append(on_a_page(f"{i}. {finding}{future}"))
+            lines.append(plots.on_a_page(f"{i}. {finding}{future}"))
         return "\n".join(lines)
 
     def to_dict(self) -> dict:

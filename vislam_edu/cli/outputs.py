@@ -27,52 +27,35 @@ def summary(result, smoothed=None, lens=None, warnings=()) -> dict:
     pixels, or None. warnings : sentences that come before those of the result.
     """
     drive, slam = result.drive, result.slam
-    numbers = {
-        "frames": drive.n_frames,
-        "duration_s": drive.duration,
-        "landmarks": drive.n_landmarks,
-        "landmarks_used": int(np.count_nonzero(slam.map.seen)),
-        "measurements": slam.measurements,
-        "rejected_share": slam.rejected_share,
-        "filter_s": slam.seconds,
-        "real_time_factor": drive.duration / slam.seconds,
-        "metre": slam.metre,
-    }
-    plain = slam.trajectory.covariance
-    numbers |= _claims(drive, slam.trajectory.world_T_imu, plain, "_without_calibration_error", "")
+    numbers = {"frames": drive.n_frames, "duration_s": drive.duration, "landmarks": drive.n_landmarks,
+               "landmarks_used": int(np.count_nonzero(slam.map.seen)), "measurements": slam.measurements,
+               "rejected_share": slam.rejected_share, "filter_s": slam.seconds,
+               "real_time_factor": drive.duration / slam.seconds, "metre": slam.metre}
+    path, plain = slam.trajectory.world_T_imu, slam.trajectory.covariance
+    numbers |= _claims(drive, path, plain, "_without_calibration_error", "")
     if result.calibration is not None:
-        numbers |= _claims(drive, slam.trajectory.world_T_imu, plain + result.calibration, "_with_calibration_error",
-                           "_with_calibration")
+        numbers |= _claims(drive, path, plain + result.calibration, "_with_calibration_error", "_with_calibration")
     if drive.has_truth:
-        numbers |= _errors(drive, slam.trajectory.world_T_imu, "")
+        numbers |= _errors(drive, path, "")
         numbers |= _errors(drive, result.dead_reckoning.world_T_imu, "dead_reckoning_")
         percent, degrees = metrics.kitti_drift(drive.truth_world_T_cam, _world_T_cam(drive, slam.trajectory))
         numbers |= {"drift_percent": percent, "drift_deg_per_m": degrees}
+    found = [*warnings, *result.warnings]
     if smoothed is not None:
-        poses = smoothed.solution.estimate.world_T_imu
-        numbers |= {"batch_s": smoothed.seconds, "batch_iterations": smoothed.solution.iterations}
+        solution, (frames, covariance) = smoothed.solution, smoothed.claims
+        poses = solution.estimate.world_T_imu
+        numbers |= {"batch_s": smoothed.seconds, "batch_iterations": solution.iterations}
         if drive.has_truth:
             numbers |= _errors(drive, poses, "batch_")
             world_T_cam = poses @ drive.camera.imu_T_cam
             numbers["batch_drift_percent"] = metrics.kitti_drift(drive.truth_world_T_cam, world_T_cam)[0]
-        numbers["batch"] = _ending(smoothed)
+        numbers["batch"] = {"cost_per_dof": solution.cost_per_dof, "converged": solution.converged,
+                            **_claims(solution.problem.drive, poses, covariance, "", "", frames)}
+        found += run_warnings.of_batch(smoothed, runs.truth_beside(drive, poses))
     if lens is not None:
         numbers |= {"lens_px": lens.px, "lens_sigma_px": lens.sigma_px}
     numbers["recommended"] = "dead reckoning" if run_warnings.has_few_tracks(drive) else "filter"
-    found = [*warnings, *result.warnings]
-    if smoothed is not None:
-        found += run_warnings.of_batch(smoothed, runs.truth_beside(drive, poses))
     return numbers | {"changed": list(drive.history), "warnings": found}
-
-
-def _ending(smoothed):
-    """How a `pipeline.Smoothed` ended: cost_per_dof (1 is right with plain squares), converged, and its own claims.
-
-    The claims, of its `claims`' frames: end_sigma_m, and with truth nees_pose and inside_3_sigma.
-    """
-    solution, (frames, covariance) = smoothed.solution, smoothed.claims
-    claims = _claims(solution.problem.drive, solution.estimate.world_T_imu, covariance, "", "", frames)
-    return {"cost_per_dof": solution.cost_per_dof, "converged": solution.converged} | claims
 
 
 def _claims(drive, world_T_imu, covariance, label, suffix, frames=slice(None)):
@@ -200,19 +183,24 @@ def description(drive) -> str:
     """What is in a recording, as text."""
     disparity = drive.pixels[:, 0] - drive.pixels[:, 2]
     length = drive.last_seen - drive.first_seen + 1
+    truth = "none"
+    if drive.truth_world_T_cam is not None:
+        truth = f"poses of {np.count_nonzero(np.isfinite(drive.truth_world_T_cam[:, 0, 0]))} frames"
+        truth += "" if drive.truth_landmarks is None else ", landmarks"
     lines = {
         "name": drive.name,
         "source": drive.source,
         "frames": f"{drive.n_frames} in {drive.duration:.2f} s",
         "IMU sample for step k": drive.imu_sample,
-        "accelerometer": _imu(drive.imu),
+        "accelerometer": "none" if drive.imu is None else (
+            f"{len(drive.imu.times)} samples from {drive.imu.times[0]:.2f} to {drive.imu.times[-1]:.2f} s"),
         "speed": f"{np.linalg.norm(drive.twists[:, :3], axis=1).mean():.2f} m/s on average",
         "landmarks": f"{drive.n_landmarks}, in view at once {_spread(drive.visible)}",
         "frames of a track": _spread(length[drive.first_seen >= 0]),
         "observations": f"{len(drive.pixels)}, {np.count_nonzero(disparity <= 0)} with a disparity <= 0",
         "camera": f"f {drive.camera.K[0, 0]:.2f} px, baseline {drive.camera.baseline:.4f} m",
         "camera in the IMU frame": f"{np.round(drive.camera.imu_T_cam[:3, 3], 3).tolist()} m",
-        "ground truth": _truth(drive),
+        "ground truth": truth,
         "changed": "; ".join(drive.history) or "nothing",
     }
     return "\n".join(f"{key:<26}{value}" for key, value in lines.items())
@@ -222,15 +210,3 @@ def _spread(counts):
     if not len(counts):
         return "none"
     return f"{counts.min()} to {counts.max()}, {counts.mean():.1f} on average"
-
-
-def _imu(samples):
-    return "none" if samples is None else (f"{len(samples.times)} samples from {samples.times[0]:.2f} to "
-                                           f"{samples.times[-1]:.2f} s")
-
-
-def _truth(drive):
-    if drive.truth_world_T_cam is None:
-        return "none"
-    known = np.count_nonzero(np.isfinite(drive.truth_world_T_cam[:, 0, 0]))
-    return f"poses of {known} frames" + (", landmarks" if drive.truth_landmarks is not None else "")

@@ -31,9 +31,6 @@ _LEGEND_HANDLE, _LEGEND_CHARACTER = 0.6, 0.063  # inches
 TWO_SIDED_95 = float(ndtri(0.975))
 
 
-# --- geometry ---------------------------------------------------------------------------------------------
-
-
 def position_covariance(trajectory):
     """(T, 3, 3) m^2, covariance of each position in the world frame.
 
@@ -70,7 +67,11 @@ def view_around(*positions, margin=30.0):
     if not len(xy):
         xy = np.zeros((1, 2))
     (x0, y0), (x1, y1) = xy.min(axis=0) - margin, xy.max(axis=0) + margin
-    return _widened(x0, x1, y0, y1)
+    # The shorter side is lengthened where the map would be flatter or taller than a page allows
+    low, high = (h / _AXES_WIDTH for h in _MAP_HEIGHTS)
+    width, height = x1 - x0, y1 - y0
+    more_height, more_width = max(0.0, low * width - height), max(0.0, height / high - width)
+    return x0 - more_width / 2, x1 + more_width / 2, y0 - more_height / 2, y1 + more_height / 2
 
 
 def view_with_outlines(paths, outlines):
@@ -84,21 +85,10 @@ def view_with_outlines(paths, outlines):
     return view_around(xy, *[np.clip(o, low - reach, high + reach) for o in outlines], margin=10.0)
 
 
-def _widened(x0, x1, y0, y1):
-    """The limits, the shorter side lengthened where the map would be flatter or taller than a page allows."""
-    low, high = (h / _AXES_WIDTH for h in _MAP_HEIGHTS)
-    width, height = x1 - x0, y1 - y0
-    more_height, more_width = max(0.0, low * width - height), max(0.0, height / high - width)
-    return x0 - more_width / 2, x1 + more_width / 2, y0 - more_height / 2, y1 + more_height / 2
-
-
 def inside(view, points):
     """(n,) bool: which points (n, 2 or more) lie within the view."""
     x0, x1, y0, y1 = view
     return (points[:, 0] >= x0) & (points[:, 0] <= x1) & (points[:, 1] >= y0) & (points[:, 1] <= y1)
-
-
-# --- artists ----------------------------------------------------------------------------------------------
 
 
 @style.styled
@@ -130,7 +120,9 @@ def finish(figure, title):
     title = re.sub(r"(?<=\d) (?=(m|s|%)\b|%)", "\N{NO-BREAK SPACE}", title)
     lines = textwrap.wrap(title, _TITLE_CHARACTERS, break_on_hyphens=False)
     handles, labels = axes.get_legend_handles_labels()
-    columns, rows = _legend_grid(labels)
+    column = _LEGEND_HANDLE + _LEGEND_CHARACTER * max(map(len, labels), default=0)
+    columns = min(len(labels), max(1, int(WIDTH / column)))
+    rows = -(-len(labels) // max(1, columns))
     below, above = 0.55 + (0.15 + _LINE * rows if rows else 0.0), 0.15 + _LINE * len(lines)
     total = below + height + above
     figure.set_size_inches(WIDTH, total)
@@ -141,15 +133,6 @@ def finish(figure, title):
         for line in legend.get_lines():  # a map's dots are too small to tell their colour, other markers are not
             line.set_markersize(max(line.get_markersize(), 5))
     return figure
-
-
-def _legend_grid(labels):
-    """Columns that fit the figure's width, and the rows they need."""
-    if not labels:
-        return 0, 0
-    column = _LEGEND_HANDLE + _LEGEND_CHARACTER * max(map(len, labels))
-    columns = min(len(labels), max(1, int(WIDTH / column)))
-    return columns, -(-len(labels) // columns)
 
 
 def draw_trajectory(axes, world_T_imu, method, **changes):
@@ -200,17 +183,14 @@ def draw_ellipses(axes, means, covariances, colour, label="95 % ellipses"):
 def draw_inset(axes, centre, half, place, title):
     """A magnified square of a map. centre : (2,), m. half : m, half its side. place : (x, y, width, height) as shares
     of the axes. Returns its axes, which hold nothing yet; a frame in the map shows where it is."""
-    (x, y) = centre
-    inset = axes.inset_axes(place, aspect="equal", xlim=(x - half, x + half), ylim=(y - half, y + half), title=title)
+    x, y = centre
+    inset = axes.inset_axes(place, aspect="equal", xlim=(x - half, x + half), ylim=(y - half, y + half))
     inset.tick_params(labelsize=8)
     inset.locator_params(nbins=3)
     inset.set_title(title, fontsize=9)
     inset.patch.set_alpha(0.95)
     axes.indicate_inset(inset_ax=inset, edgecolor=style.COLOURS["expected"])
     return inset
-
-
-# --- figures that any chapter can use ---------------------------------------------------------------------
 
 
 @style.styled

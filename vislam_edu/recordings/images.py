@@ -25,7 +25,7 @@ _SUFFIXES = {".png", ".jpg", ".jpeg", ".bmp", ".pgm", ".tif", ".tiff"}
 
 
 class Pairs:
-    """Left and right images by number, grey, (h, w), and their times, (n,) s, where the files say them.
+    """Left and right images by number, grey (colours are averaged), (h, w), and their times, (n,) s, if files say them.
 
     readers : of each pair, two functions that read its images. first : KITTI's number of the left camera.
     """
@@ -37,7 +37,8 @@ class Pairs:
         return len(self.readers)
 
     def __getitem__(self, k: int) -> Pair:
-        left, right = (_grey(reader()) for reader in self.readers[k])
+        images = (reader() for reader in self.readers[k])
+        left, right = (image if image.ndim == 2 else image[..., :3].mean(axis=-1) for image in images)
         if left.shape != right.shape:
             raise DriveError(f"pair {k}: left image {left.shape}, right image {right.shape}, expected one size")
         return left, right
@@ -78,11 +79,6 @@ def _reader(path: Path) -> Callable[[], np.ndarray]:
         with files.errors_name(path), Image.open(path) as image:
             return np.asarray(image.convert("L") if image.mode not in ("L", "I;16", "I") else image)
     return read
-
-
-def _grey(image: np.ndarray) -> np.ndarray:
-    """(h, w) of an image (h, w) or (h, w, 1, 3 or 4), whose colours are averaged."""
-    return image if image.ndim == 2 else image[..., :3].mean(axis=-1)
 
 
 def _times(folder: Path, names: list[str]) -> np.ndarray | None:

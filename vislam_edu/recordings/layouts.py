@@ -26,10 +26,9 @@ def load(name, extrinsics: str | None = None) -> Drive:
 
     Layouts are those of data/README.md, told apart by their keys, and what `save` writes. Extrinsics are taken as their
     key says: a_T_b maps b coordinates to a coordinates. Only `extL_T_imu` and `extR_T_imu` are read in four ways, and
-    the numbers decide (`extrinsics.mounted`), unless `extrinsics` names one: "imu_T_regular", "optical_T_imu",
-    "imu_T_optical" or "regular_T_imu" (regular: x forward, y left, z up). Rotations with only a few digits are
-    projected to SO(3); pixels of cameras that are not parallel, or have two K, are rectified; a landmark that comes
-    back after a gap becomes a new one. Whether the numbers agree is for `audit` to find out.
+    the numbers decide (`extrinsics.mounted`), unless `extrinsics` names one of its `READINGS`. Rotations with only a
+    few digits are projected to SO(3); pixels of cameras that are not parallel, or have two K, are rectified; a landmark
+    that comes back after a gap becomes a new one. Whether the numbers agree is for `audit` to find out.
     Raises DriveError (a ValueError) naming the file, the field and what is wrong with it.
     """
     path = _resolved(name)
@@ -78,9 +77,7 @@ def find(name) -> Path | None:
 
 def _resolved(name) -> Path:
     """The path itself where something is there, else the file of that name."""
-    path = Path(name)
-    found = path if path.exists() else find(name)
-    if found is None:
+    if (found := Path(name) if Path(name).exists() else find(name)) is None:
         raise DriveError(f"{name}: no such file, and none of that name in "
                          + ", ".join(map(str, dict.fromkeys(folders()))))
     return found
@@ -94,28 +91,21 @@ def load_ground_truth(path, drive) -> Drive:
     TUM: `time x y z qx qy qz qw` a row. A frame takes the row nearest in time if it is within half a frame.
     EuRoC, TUM-VI: rows with commas, `time [ns], x, y, z, qw, qx, qy, qz` and perhaps velocity and biases (8 or 17
     numbers): poses of the IMU, from which those of the camera are made.
-    Times are absolute, or count from the drive's start when absolute ones would not overlap the drive.
-    Lines that start with # are skipped. Frames without a row get NaN.
-    Whether the poses can be those of this drive is for `audit.ground_truth_checks.doubt` to find out.
-    Raises DriveError naming the file and the line or row.
+    Times are absolute, or count from the drive's start when absolute ones would not overlap the drive. Lines that start
+    with # are skipped, frames without a row get NaN. Whether the poses can be those of this drive is for
+    `audit.ground_truth_checks.doubt` to find out. Raises DriveError naming the file and the line or row.
     """
     path = Path(path)
     with files.errors_name(path):
         rows, commas = rows_of_numbers(path)
+        body_T_cam = np.eye(4) if drive.left_T_cam is None else drive.left_T_cam
         if commas and rows.shape[1] in (8, 17):
-            rows = np.column_stack([rows[:, 0] / 1e9, rows[:, 1:4], rows[:, 5:8], rows[:, 4]])
-            poses = _tum_poses(rows, drive) @ drive.camera.imu_T_cam
-            return drive.replace(truth_world_T_cam=poses, truth_landmarks=None)
-        if rows.shape[1] == 12:
-            poses = _kitti_poses(rows, drive)
-        elif rows.shape[1] == 8:
-            poses = _tum_poses(rows, drive)
-        else:
+            rows, body_T_cam = rows[:, [0, 1, 2, 3, 5, 6, 7, 4]] / [1e9, *[1] * 7], drive.camera.imu_T_cam
+        if rows.shape[1] not in (8, 12):
             raise DriveError(f"{rows.shape[1]} numbers a row, expected 12 (KITTI), 8 (TUM), or 8 or 17 with commas "
                              "(csv of EuRoC and TUM-VI)")
-        if drive.left_T_cam is not None:
-            poses = poses @ drive.left_T_cam
-        return drive.replace(truth_world_T_cam=poses, truth_landmarks=None)
+        poses = (_tum_poses if rows.shape[1] == 8 else _kitti_poses)(rows, drive)
+        return drive.replace(truth_world_T_cam=poses @ body_T_cam, truth_landmarks=None)
 
 
 def load_imu(path, drive) -> Drive:

@@ -48,9 +48,6 @@ def kitti_camera():
     return StereoCamera(K=K, baseline=0.54, cam_T_imu=se3.pose(cam_R_imu, -cam_R_imu @ camera_in_imu))
 
 
-# --- what the camera sees -----------------------------------------------------------------------------------
-
-
 def _scene_points(rng, n, camera, image_size, depth):
     """n points in the camera frame (n, 3), m, where random pixels meet ground, street side or far view."""
     uv = rng.uniform((0, 0), image_size, (n, 2))
@@ -118,9 +115,6 @@ def _tracks(rng, world_T_imu, camera, *, visible, life, mean_life, redetect_ever
     frame, landmark, pixels = (np.concatenate(parts) for parts in zip(*observations))
     order = np.lexsort((landmark, frame))
     return np.concatenate(landmarks), frame[order], landmark[order], pixels[order]
-
-
-# --- drives -------------------------------------------------------------------------------------------------
 
 
 def perfect_street_loop(seed=0, *, frames=500, tau=0.1, jitter=0.0005, speed=10.0, loop_length=None, hills=1.0,
@@ -201,8 +195,8 @@ def street_loop(seed=0, *, frames=500, sigma_v=0.5, sigma_omega=0.05, sigma_px=0
                 outlier_share=0.0, **geometry):
     """A `Drive` around a street loop with ground truth and noisy sensors.
 
-    The noise is that of `add_noise`; outlier_share in [0, 1] of the tracks are wrong as in `faults.outlier_tracks` (the
-    ground truth keeps the landmark they pretend to be); all else goes to `perfect_street_loop`.
+    The noise is that of `add_noise`; outlier_share of the tracks are wrong as in `faults.outlier_tracks`; all else goes
+    to `perfect_street_loop`.
     """
     drive = perfect_street_loop(seed, frames=frames, **geometry)
     if outlier_share:
@@ -245,12 +239,11 @@ def places(drive):
 
 def write(directory="data"):
     """Write both drives into the directory and return their paths."""
-    directory = Path(directory)
-    directory.mkdir(parents=True, exist_ok=True)
-    paths = [directory / "street_loop.npz", directory / "first_steps.npz"]
-    for path, drive in zip(paths, (street_loop_data(), first_steps())):
+    Path(directory).mkdir(parents=True, exist_ok=True)
+    made = {Path(directory, "street_loop.npz"): street_loop_data(), Path(directory, "first_steps.npz"): first_steps()}
+    for path, drive in made.items():
         recordings.save(drive, path)
-    return paths
+    return list(made)
 
 
 if __name__ == "__main__":

@@ -37,8 +37,7 @@ def wrong_lever_arm(drive, translation=None):
 def add_gyro_bias(drive, bias):
     """Every angular velocity is off by the constant bias (3,), rad/s."""
     bias = np.broadcast_to(np.asarray(bias, float), 3)
-    return _planted(
-        drive, f"gyro bias {bias.tolist()} rad/s", twists=drive.twists + np.concatenate([np.zeros(3), bias]))
+    return _planted(drive, f"gyro bias {bias.tolist()} rad/s", twists=drive.twists + np.pad(bias, (3, 0)))
 
 
 def delay_imu(drive, samples=1):
@@ -92,10 +91,8 @@ def lens_shift(drive, **px):
 def copy_frames(drive, frames=None):
     """At some frames the tracker copies its old pixels and goes on from them.
 
-    At a copy frame, every track seen there and one frame before has exactly the pixels of the frame before.
-    Afterwards it moves as the true track moves, but from the stale place: each copy leaves the track one
-    increment behind for good, the increment's noise included. Those that are born at the frame are right.
-
+    There, every track that was seen one frame before has exactly its old pixels. Afterwards it moves as the true track
+    moves, but from the stale place: each copy leaves it one increment behind for good, noise included.
     frames : copy frames; by default every frame after the first where a landmark is born, as in the real recordings.
     """
     frames = np.unique(drive.first_seen[drive.first_seen > 0]) if frames is None else np.asarray(frames, int)
@@ -110,23 +107,19 @@ def copy_frames(drive, frames=None):
     increment = np.diff(pixels, axis=0, prepend=pixels[:1])
     lost = np.cumsum(np.where(copy[:, None], increment, 0), axis=0)
     stale = pixels - (lost - lost[track_begin])
-    # A copy is recognised by having exactly the same numbers, not the same to rounding.
-    copied_from = np.maximum.accumulate(np.where(copy, 0, row))
+    copied_from = np.maximum.accumulate(np.where(copy, 0, row))  # exactly the same numbers, not to rounding
     result = np.empty_like(stale)
     result[order] = stale[copied_from]
     return _planted(drive, f"pixels copied at {len(frames)} frames", pixels=result)
 
 
 def outlier_tracks(drive, share, seed=0):
-    """A share in [0, 1] of the tracks is wrong for its whole life; needs ground truth.
+    """A share in [0, 1] of the tracks is wrong for its whole life; needs ground truth. seed : int or numpy Generator.
 
-    Half of them move: the point has a constant velocity of 2 to 8 m/s along the ground, like a pedestrian or
-    a car (the truth's world has z up). Half are stereo mismatches: the right pixel is off by a constant 5 to
-    30 px to the left or right (disparities may become negative, as in the real recordings). A mover that
-    would leave the image before its track ends is made a mismatch instead: tracks keep their lengths. The
-    true landmark of a mover is where it was first seen.
-
-    seed : int or numpy Generator.
+    Half of them move: the point has a constant velocity of 2 to 8 m/s along the ground (the truth's world has z up);
+    its true landmark is where it was first seen. Half are stereo mismatches: the right pixel is off by a constant 5 to
+    30 px to the left or right (disparities may become negative, as in the real recordings). A mover that would leave
+    the image before its track ends is made a mismatch instead: tracks keep their lengths.
     """
     if not 0 <= share <= 1:
         raise ValueError(f"share of outlier tracks must be in [0, 1], got {share}")

@@ -31,10 +31,7 @@ _START = 100  # the stream of a seed that draws the filter's initial pose; simul
 
 @dataclass(frozen=True, eq=False)
 class FilterConfig:
-    """A joint filter to be judged: what it believes of the sensors, its error state, other options.
-
-    noise : Noise. error_state : `ErrorState`. options : further keyword arguments of `window_slam.run`.
-    """
+    """A joint filter to be judged: what it believes of the sensors, its error state, options of `window_slam.run`."""
 
     noise: Noise
     error_state: ErrorState
@@ -42,9 +39,7 @@ class FilterConfig:
 
 
 def standard_filters(noise):
-    """The five filters of the study by name, each one step further from the report's.
-
-    noise : Noise, what the sensors really have.
+    """The five filters of the study by name, each one step further from the report's. noise : what the sensors have.
 
     report_values       the report's W, V and Sigma_0, its error and its new landmarks
     report              the same with the noise the sensors have
@@ -173,12 +168,9 @@ def summary(studies) -> dict:
                                               certain than it is long can be worth thousands
     rmse_m, rmse_world_m                      RMS of `Study.error` and `Study.error_world`
 
-    and for all of them runs, frames, band_99 (pose) and band_99_3_dof (rotation or position): where 99 % of
-    the means over N runs lie at any one frame if the filter is honest, chi-square with 6 N and 3 N degrees of
-    freedom. The mean over the frames as well is held against the same band. That would be exact if errors
-    were constant along a drive; they change, so an honest filter lies in it more often than 99 % of the time.
-    Source of the band: Bar-Shalom, Li, Kirubarajan, Estimation with Applications to Tracking and Navigation,
-    section 5.4.2.
+    and for all of them runs, frames, band_99 (pose) and band_99_3_dof (rotation or position): where 99 % of the means
+    over N runs lie at any one frame if the filter is honest, see `metrics.chi2_band`. An honest filter's mean over the
+    frames as well lies there more often than 99 % of the time, since errors change along a drive.
     """
     first = next(iter(studies.values()))
     runs, frames = first.nees_pose.shape

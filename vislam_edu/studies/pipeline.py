@@ -25,11 +25,10 @@ from .runs import Run, record, truth_beside
 
 @dataclass(frozen=True, eq=False)
 class Mapped:
-    """What the landmark EKF said of poses that it had to believe.
+    """What the landmark EKF said of poses that it had to believe: its map after the last frame.
 
-    map : MapBelief after the last frame. measurements : how many were compared with a prediction.
-    contradicting : how many of them a 99 % gate would have kept out. There is no gate here: the report has
-    none, and on dead-reckoned poses it would leave one measurement in ten.
+    measurements : how many were compared with a prediction. contradicting : how many of them a 99 % gate would have
+    kept out. The report has none, and on dead-reckoned poses it would leave one measurement in ten.
     """
 
     map: MapBelief
@@ -41,11 +40,10 @@ class Mapped:
 class Slam:
     """What the joint filter said.
 
-    trajectory : Trajectory after each frame's update, its covariance expressed as a right perturbation whatever
-    the error state of the filter. map : MapBelief, each landmark as it was when it left the state, or at the
-    end, its covariance in the world frame (m^2). run : Run, each measurement beside its prediction, before `metre`.
-    seconds : what the filter took. method : key of the series' colours and labels. metre : by what its lengths have
-    been multiplied at the end, see `scale`.
+    trajectory : after each frame's update, its covariance that of a right perturbation whatever the error state. map :
+    each landmark as it was when it left the state, or at the end, its covariance in the world frame (m^2). run : each
+    measurement beside its prediction, before `metre`. seconds : what the filter took. method : key of the series'
+    colours and labels. metre : by what its lengths have been multiplied at the end, see `scale`.
     """
 
     trajectory: Trajectory
@@ -164,13 +162,11 @@ def run_pipeline(drive, noise, error_state=None, *, gate=0.99, min_disparity=1.0
                  lens_px=None, progress=no_progress, **options) -> Result:
     """All the report's estimates of one drive.
 
-    drive : Drive. noise : Noise, of all of them. error_state : of the joint filter, `RightPerturbation()` by default.
-    gate : probability that a good measurement passes, in the joint filter. min_disparity : px, below it a
-    landmark waits for a better view. consider_calibration : whether to run the joint filter again with each knob of the
-    calibration turned. lens_px : by how much, of the lenses, see `calibration.covariance`. progress : called as
-    `progress(frames, total=, desc=, unit=)`, as tqdm is. options : further ones of `joint`, which is the only one of
-    the three filters that has these choices. Of a drive with an accelerometer that is what moves the car, from
-    `inertial.initial` on; its truth is put into the world of the estimate, which has z up.
+    noise : of all of them. error_state, gate, min_disparity : of the joint filter, see `window_slam.run`.
+    consider_calibration : whether to run the joint filter again with each knob of the calibration turned; lens_px : by
+    how much, of the lenses, see `calibration.covariance`. progress : called as tqdm is, with
+    total, desc and unit. options : further ones of `joint`. An accelerometer, where a drive has one, is what moves the
+    car, from `inertial.initial` on; the truth is then put into the world of the estimate, which has z up.
     """
     if drive.imu is None:
         dead_reckoning = odometry.dead_reckon(drive, noise)
@@ -196,8 +192,8 @@ def run_pipeline(drive, noise, error_state=None, *, gate=0.99, min_disparity=1.0
 def first_sight(drive, noise, world_T_imu, min_disparity=1.0) -> MapBelief:
     """Each landmark where its first good stereo view puts it, the poses (T, 4, 4) assumed known.
 
-    A view is good when its disparity is above `min_disparity` px. Covariance: that of the triangulation
-    alone. Source: report section 3.2.1 and figure 2.
+    A view is good when its disparity is above `min_disparity` px. Covariance: that of the triangulation alone.
+    Source: report section 3.2.1 and figure 2.
     """
     camera = drive.camera
     points, ok = camera.triangulate(drive.pixels, min_disparity)
@@ -214,7 +210,7 @@ def first_sight(drive, noise, world_T_imu, min_disparity=1.0) -> MapBelief:
 
 
 def collect_mapping(steps) -> Mapped:
-    """Listen to `mapping.run` and keep what a picture needs. steps : of `mapping.run`, with any gate."""
+    """Listen to the steps of `mapping.run` and keep what a picture needs."""
     threshold = kalman.gate_threshold(0.99)
     measurements = contradicting = 0
     for step in steps:
@@ -226,8 +222,7 @@ def collect_mapping(steps) -> Mapped:
 def collect_slam(drive, steps, error_state, method="slam") -> Slam:
     """Listen to `window_slam.run` and keep what a picture needs.
 
-    steps : of `window_slam.run(drive, ...)` with this error state. A landmark's estimate is the one it had when
-    it was last in the state: on retirement, or at the end.
+    steps : of `window_slam.run(drive, ...)` with this error state. A landmark's estimate is its last in the state.
     """
     M = drive.n_landmarks
     landmarks, spread, seen = np.zeros((M, 3)), np.zeros((M, 3, 3)), np.zeros(M, bool)

@@ -10,7 +10,7 @@ from ...motion import TwistAndBias
 from ...plots.style import COLOURS
 from ...studies import pipeline
 from ...widgets.canvas import Picture, Switch
-from ..panels import add_axes, fit_equal, legend
+from ..panels import add_axes, fit_equal, legend, moving_line
 
 LOST = 20.0  # % of drift: beyond it there is nothing to compare
 
@@ -106,14 +106,13 @@ class CuresPicture(Picture):
                             "forward at the start (m)", "left at the start (m)")
         fit_equal(self.map, path, margin=25.0)  # what leaves it is lost anyway
         (reference,) = self.map.plot(*path.T, color=COLOURS["truth"], lw=1.2, label=name)
-        (self.line,) = self.map.plot([], [], color=COLOURS["invariant"], lw=1.6, label="filter")
+        self.line = moving_line(self, self.map, color=COLOURS["invariant"], lw=1.6, label="filter")
         legend(self.map, [reference, self.line], loc="upper left")
         self.times = self.report.drive.times - self.report.drive.times[0]
         self.axes = add_axes(self, (0.66, 0.14, 0.32, 0.75), f"Distance from {'the truth' if self.truth else name}",
                              "time since start (s)", "distance (m)", yscale="log", ylim=(0.01, 300),
                              xlim=(0, self.times[-1]))
-        (self.error,) = self.axes.plot([], [], color=COLOURS["invariant"], lw=1.6)
-        self.moves(self.line, self.error)
+        self.error = moving_line(self, self.axes, color=COLOURS["invariant"], lw=1.6)
 
     def _outcome(self, state):
         return self.outcome([fault for fault in self.faults if state[fault.replace(" ", "_")]])

@@ -12,7 +12,7 @@ from ...odometry import Trajectory
 from ...plots.style import COLOURS
 from ...studies import pipeline
 from ...widgets.canvas import Number, Picture
-from ..panels import add_axes, legend
+from ..panels import add_axes, legend, moving_line
 
 MOST = 20  # of how many landmarks one is kept, at most
 ELLIPSES = 12  # along the path
@@ -89,35 +89,23 @@ class SubsamplingPicture(Picture):
         self.map.set(xlim=(x0, x1), ylim=(y0, y1))
         (self.points,) = self.map.plot([], [], ".", ms=3, color=COLOURS["slam"], label="landmarks kept")
         (self.path,) = self.map.plot([], [], "--", lw=1.6, color=blue, label="estimated path")
-        self.ellipses = self.map.add_collection(
-            LineCollection([], colors=blue, lw=1.0, label="95 % of the position"), autolim=False
-        )
+        self.ellipses = self.map.add_collection(LineCollection([], colors=blue, lw=1.0, label="95 % of the position"),
+                                                autolim=False)
         names = legend(self.map, [truth, self.path, self.points, self.ellipses], columns=2, loc="center")
         self.moves(self.points, self.ellipses, self.path, names)  # the names too, or the landmarks would cover them
 
         t = self.drive.times - self.drive.times[0]
-        self.time = add_axes(
-            self, (0.1, 0.08, 0.38, 0.24), "Position error", "time (s)", "error (m)", xlim=(0, t[-1]), ylim=(0, 10)
-        )
-        (self.error,) = self.time.plot(t, np.zeros(len(t)), color=COLOURS["slam"], label="error")
-        (self.claimed,) = self.time.plot(t, np.zeros(len(t)), "--", color=blue, label="claimed, RMS")
-        self.moves(self.error, self.claimed)
+        self.time = add_axes(self, (0.1, 0.08, 0.38, 0.24), "Position error", "time (s)", "error (m)",
+                             xlim=(0, t[-1]), ylim=(0, 10))
+        self.error = self.moves(*self.time.plot(t, 0 * t, color=COLOURS["slam"], label="error"))
+        self.claimed = self.moves(*self.time.plot(t, 0 * t, "--", color=blue, label="claimed, RMS"))
         legend(self.time, [self.error, self.claimed], loc="upper left")
 
-        self.share = add_axes(
-            self,
-            (0.6, 0.08, 0.38, 0.24),
-            "RMS error, of what was tried",
-            "one in ... is kept",
-            "RMS error (m)",
-            xlim=(0, MOST + 1),
-            ylim=(0.05, 20),
-            yscale="log",
-            xticks=[1, 5, 10, 15, 20],
-        )
-        (self.others,) = self.share.plot([], [], "o-", lw=0.8, color="0.6")
-        (self.this,) = self.share.plot([], [], "o", ms=8, color=COLOURS["slam"])
-        self.moves(self.others, self.this)
+        self.share = add_axes(self, (0.6, 0.08, 0.38, 0.24), "RMS error, of what was tried", "one in ... is kept",
+                              "RMS error (m)", xlim=(0, MOST + 1), ylim=(0.05, 20), yscale="log",
+                              xticks=[1, 5, 10, 15, 20])
+        self.others = moving_line(self, self.share, "o-", lw=0.8, color="0.6")
+        self.this = moving_line(self, self.share, "o", ms=8, color=COLOURS["slam"])
 
     def draw(self, every):
         """Show every `every`-th landmark."""
@@ -134,16 +122,12 @@ class SubsamplingPicture(Picture):
     def caption(self, every):
         """How much is left, and how good it is."""
         run = self.run(every)
-        return (
-            f"{run.landmarks} of {self.drive.n_landmarks} landmarks, {run.visible:.0f} in view on average: "
-            f"{run.rms:.2g} m RMS; at the end {run.error[-1]:.2g} m, claimed {run.claimed[-1]:.2g} m."
-        )
+        return (f"{run.landmarks} of {self.drive.n_landmarks} landmarks, {run.visible:.0f} in view on average: "
+                f"{run.rms:.2g} m RMS; at the end {run.error[-1]:.2g} m, claimed {run.claimed[-1]:.2g} m.")
 
     def alt(self, every):
         """The picture in words."""
         run = self.run(every)
-        return (
-            f"Map from above: true path in black, estimated path with 95 % ellipses from {run.landmarks} landmarks, "
-            f"one in {every}; its position error through time against what the filter claims, {run.rms:.2g} m RMS; the "
-            f"RMS error for each share of the landmarks tried so far."
-        )
+        return (f"Map from above: true path in black, estimated path with 95 % ellipses from {run.landmarks} "
+                f"landmarks, one in {every}; its position error through time against what the filter claims, "
+                f"{run.rms:.2g} m RMS; the RMS error for each share of the landmarks tried so far.")

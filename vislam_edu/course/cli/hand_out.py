@@ -14,7 +14,7 @@ def add_arguments(parser):
                         help="students (default): empty stubs, nothing of the teacher's; teachers: the stubs hold "
                              "answers, and docs/instructor.md and docs/teaching.md of a clone are there too. Both: "
                              "notebooks, drives, docs/notation.md, docs/reading.md")
-    parser.add_argument("--chapters", nargs="+", metavar="NN", help="two digits each (default: all)")
+    parser.add_argument("--chapters", nargs="+", metavar="NN", help="as their files begin, 08b for one (default: all)")
     parser.add_argument("--keep-outputs", action="store_true",
                         help="leave what the cells print and draw, which answers the questions before them")
 

@@ -161,36 +161,15 @@ def births_first(prior, ids, pixels, settings):
 
 # --- recordings that are wrong --------------------------------------------------------------------------------
 
-def _recording(change):
-    return {"recording": change}
+def _recorded(change, *arguments, **options):
+    return {"recording": lambda drive: change(drive, *arguments, **options)}
 
 
-def _scaled_speed(factor):
-    return _recording(lambda drive: drive.replace(twists=drive.twists * np.repeat([factor, 1], 3)))
-
-
-def _noisy_gyro(factor):
-    def noisier(drive):
-        sigma = (factor**2 - 1) ** 0.5 * Noise().sigma_omega
-        extra = sigma * np.random.default_rng(drive.n_landmarks).normal(size=(drive.n_frames, 3))
-        return drive.replace(twists=drive.twists + np.hstack([np.zeros_like(extra), extra]))
-    return _recording(noisier)
-
-
-def _row_offset(px):
-    return _recording(lambda drive: drive.replace(pixels=drive.pixels + np.array([0, 0, 0, px])))
-
-
-def _late(samples):
-    return _recording(lambda drive: recording_faults.delay_imu(drive, round(samples)))
-
-
-def _bias(size):
-    return _recording(lambda drive: recording_faults.add_gyro_bias(drive, [0, 0, size]))
-
-
-def _outliers(share):
-    return _recording(lambda drive: recording_faults.outlier_tracks(drive, share, seed=1))
+def _noisier_gyro(drive, factor):
+    extra = np.zeros((drive.n_frames, 6))
+    extra[:, 3:] = (factor**2 - 1) ** 0.5 * Noise().sigma_omega * np.random.default_rng(drive.n_landmarks).normal(
+        size=(drive.n_frames, 3))
+    return drive.replace(twists=drive.twists + extra)
 
 
 def _fixed(changes):
@@ -206,6 +185,8 @@ def _model(motion_model):
 
 
 _HAT = "J @ se3.so3_hat(s)"
+_OR_NOISE = (("noise values", "factor"), ("noise values", "noise"))  # what reads like a factor of W
+_OR_W = (("noise values", "factor"), ("predicted covariance", "factor"))  # like a wrong sigma of the IMU
 
 FAULTS: dict[str, Fault] = {
     HEALTHY: Fault(HEALTHY, HEALTHY, _fixed({}), levels=(2, 3)),
@@ -232,10 +213,9 @@ FAULTS: dict[str, Fault] = {
                           seen_by=("predict",)),
     "F left out": Fault("predicted covariance", "missing", _fixed(_transition("np.eye(6)")), levels=(2, 3),
                         seen_by=("predict",)),
-    "tau": Fault("predicted covariance", "factor", _model(ch10.NoiseWithoutTau),
-                 also=(("noise values", "factor"), ("noise values", "noise")), seen_by=("predict",)),
-    "W doubled": Fault("predicted covariance", "factor", _model(_DoubledW), levels=(2, 3),
-                       also=(("noise values", "factor"), ("noise values", "noise")), seen_by=("predict",)),
+    "tau": Fault("predicted covariance", "factor", _model(ch10.NoiseWithoutTau), also=_OR_NOISE, seen_by=("predict",)),
+    "W doubled": Fault("predicted covariance", "factor", _model(_DoubledW), levels=(2, 3), also=_OR_NOISE,
+                       seen_by=("predict",)),
     "swapped": Fault("predicted pose", "order", _model(ch10.SwappedTwist), seen_by=("predict",)),
     "degrees": Fault("predicted pose", "units", _model(ch10.Degrees), seen_by=("predict",)),
     "moved in the world": Fault("predicted pose", "frame", _model(_MovedInTheWorld), seen_by=("predict",)),
@@ -250,23 +230,29 @@ FAULTS: dict[str, Fault] = {
     "sigma_px": Fault("noise values", "noise", lambda s: _noise(sigma_px=s), (0.5, 1.6, 2.5), seen_by=("birth",),
                       also=(("noise values", "factor"),)),
     "sigma_v": Fault("noise values", "noise", lambda s: _noise(sigma_v=s), (0.3, 2.5, 5.0), levels=(2, 3),
-                     also=(("noise values", "factor"), ("predicted covariance", "factor")), seen_by=("predict",)),
+                     also=_OR_W, seen_by=("predict",)),
     "sigma_omega": Fault("noise values", "noise", lambda s: _noise(sigma_omega=s), (0.3, 2.5, 5.0), levels=(2, 3),
-                         also=(("noise values", "factor"), ("predicted covariance", "factor")), seen_by=("predict",)),
-    "both sigmas": Fault("noise values", "noise", lambda s: _noise(sigma_v=s, sigma_omega=s), (10.0,),
-                         also=(("noise values", "factor"), ("predicted covariance", "factor")), seen_by=("predict",)),
-    "gyro bias": Fault("IMU", "offset", _bias, (0.08, -0.08, 0.12), seen_by=("recording",)),
-    "late": Fault("IMU", "timing", _late, (3.0, 5.0), levels=(3,), seen_by=("recording",)),
-    "speed": Fault("IMU", "factor", _scaled_speed, (0.8, 1.25), seen_by=("recording",)),
-    "noisy gyro": Fault("IMU", "noise", _noisy_gyro, (3.0, 4.0), levels=(3,), seen_by=("recording",)),
-    "flipped": Fault("extrinsics", "sign", _fixed(_recording(recording_faults.flip_imu_axes)), seen_by=("recording",)),
-    "outliers": Fault("tracks", "outliers", _outliers, (0.25, 0.4), seen_by=("recording",)),
-    "copies": Fault("tracks", "timing", _fixed(_recording(recording_faults.copy_frames)), levels=(3,),
+                         also=_OR_W, seen_by=("predict",)),
+    "both sigmas": Fault("noise values", "noise", lambda s: _noise(sigma_v=s, sigma_omega=s), (10.0,), also=_OR_W,
+                         seen_by=("predict",)),
+    "gyro bias": Fault("IMU", "offset", lambda size: _recorded(recording_faults.add_gyro_bias, [0, 0, size]),
+                       (0.08, -0.08, 0.12), seen_by=("recording",)),
+    "late": Fault("IMU", "timing", lambda samples: _recorded(recording_faults.delay_imu, round(samples)), (3.0, 5.0),
+                  levels=(3,), seen_by=("recording",)),
+    "speed": Fault("IMU", "factor", lambda factor: _recorded(
+        lambda drive: drive.replace(twists=drive.twists * np.repeat([factor, 1], 3))), (0.8, 1.25),
+                   seen_by=("recording",)),
+    "noisy gyro": Fault("IMU", "noise", lambda factor: _recorded(_noisier_gyro, factor), (3.0, 4.0), levels=(3,),
+                        seen_by=("recording",)),
+    "flipped": Fault("extrinsics", "sign", _fixed(_recorded(recording_faults.flip_imu_axes)), seen_by=("recording",)),
+    "outliers": Fault("tracks", "outliers", lambda share: _recorded(recording_faults.outlier_tracks, share, seed=1),
+                      (0.25, 0.4), seen_by=("recording",)),
+    "copies": Fault("tracks", "timing", _fixed(_recorded(recording_faults.copy_frames)), levels=(3,),
                     seen_by=("recording",)),
-    "rows": Fault("tracks", "offset", _row_offset, (2.0, -3.0), seen_by=("recording",)),
+    "rows": Fault("tracks", "offset", lambda px: _recorded(
+        lambda drive: drive.replace(pixels=drive.pixels + np.array([0, 0, 0, px]))), (2.0, -3.0),
+                  seen_by=("recording",)),
 }
-
-
 
 
 # --- drawing --------------------------------------------------------------------------------------------------
