@@ -193,19 +193,17 @@ def add_as_report(belief: Belief, ids: np.ndarray, pixels: np.ndarray, settings:
                    settings.noise.landmark_prior * np.eye(3 * len(ids)))
 
 
-def correct_frame(update: Callable[..., tuple[Belief, Innovation]], prior: Belief, ids: np.ndarray,
-                  pixels: np.ndarray, settings: UpdateSettings) -> Frame:
-    """Known landmarks correct the state by `update`, then new ones join it, their first measurement used once."""
+def correlated(prior: Belief, ids: np.ndarray, pixels: np.ndarray, settings: UpdateSettings,
+               update: Callable[..., tuple[Belief, Innovation]] = update) -> Frame:
+    """The correct frame: known landmarks correct the state by `update`, then new ones join it, their pixels used once.
+
+    Returns (prior, posterior, Innovation).
+    """
     known = contains(prior.ids, ids)
     posterior, innovation = update(prior, ids[known], pixels[known], settings)
     if not known.all():
         posterior = add_correlated(posterior, ids[~known], pixels[~known], settings)
     return prior, posterior, innovation
-
-
-def correlated(prior: Belief, ids: np.ndarray, pixels: np.ndarray, settings: UpdateSettings) -> Frame:
-    """The correct frame with the plain gate, see `correct_frame`."""
-    return correct_frame(update, prior, ids, pixels, settings)
 
 
 def as_report(prior: Belief, ids: np.ndarray, pixels: np.ndarray, settings: UpdateSettings) -> Frame:

@@ -34,51 +34,42 @@ class _Waves:
         return np.cos(np.multiply.outer(s, self.frequency) + self.phase) @ (self.amplitude * self.frequency)
 
 
-@dataclass(frozen=True)
-class Streets:
-    """Centre line of a closed chain of straight streets and smooth 90 degree corners: a staircase and back.
-
-    `length` is the way once around, m; about every 150 m there is a corner, so a longer loop has more stairs.
-    One stair is a rectangle. A corner's curvature rises and falls as 1 - cos: the steering wheel never jumps.
-    """
-
-    length: float
-
-    def corners(self):
-        """Arc length where each corner begins, m, and its sign (+1 left, -1 right)."""
-        stairs = max(1, round(self.length / 400))
-        signs = np.array([1] + [1, -1] * (stairs - 1) + [1, 1, 1])
-        u = np.linspace(0, 1, 1001)
-        # m that a corner cuts off the legs on either side
-        tangent = CORNER_LENGTH * np.trapezoid(np.cos(np.pi / 2 * _smooth_step(u)), u)
-        legs = np.array([5 * stairs] + [4, 5] * stairs + [4 * stairs], float)
-        legs *= (self.length + len(legs) * (2 * tangent - CORNER_LENGTH)) / legs.sum()
-        straights = legs - 2 * tangent
-        if straights.min() < 0 or straights[0] < FIRST_CORNER:
-            raise ValueError(f"a street loop of {self.length:.0f} m has no room for its {len(legs)} corners; "
-                             "give a larger loop_length")
-        begin = np.cumsum(straights + CORNER_LENGTH) - CORNER_LENGTH
-        return begin - begin[0] + FIRST_CORNER, signs
-
-    def heading(self, s):
-        """Heading, rad, and curvature, rad/m, at arc lengths s (n,) within one lap."""
-        begin, signs = self.corners()
-        u = np.clip(np.subtract.outer(s, begin) / CORNER_LENGTH, 0, 1)
-        heading = np.pi / 2 * _smooth_step(u) @ signs
-        curvature = np.pi / (2 * CORNER_LENGTH) * (1 - np.cos(2 * np.pi * u)) @ signs
-        return heading, curvature
-
-
 def _smooth_step(u):
     return u - np.sin(2 * np.pi * u) / (2 * np.pi)
 
 
+def _corners(loop_length):
+    """Arc length where each corner begins, m, and its sign (+1 left, -1 right).
+
+    About every 150 m there is a corner, so a longer loop has more stairs; one stair is a rectangle.
+    """
+    stairs = max(1, round(loop_length / 400))
+    signs = np.array([1] + [1, -1] * (stairs - 1) + [1, 1, 1])
+    u = np.linspace(0, 1, 1001)
+    # m that a corner cuts off the legs on either side
+    tangent = CORNER_LENGTH * np.trapezoid(np.cos(np.pi / 2 * _smooth_step(u)), u)
+    legs = np.array([5 * stairs] + [4, 5] * stairs + [4 * stairs], float)
+    legs *= (loop_length + len(legs) * (2 * tangent - CORNER_LENGTH)) / legs.sum()
+    straights = legs - 2 * tangent
+    if straights.min() < 0 or straights[0] < FIRST_CORNER:
+        raise ValueError(f"a street loop of {loop_length:.0f} m has no room for its {len(legs)} corners; "
+                         "give a larger loop_length")
+    begin = np.cumsum(straights + CORNER_LENGTH) - CORNER_LENGTH
+    return begin - begin[0] + FIRST_CORNER, signs
+
+
 def centre_line(loop_length):
-    """Once around at steps of 5 cm: arc length (n,) m, heading rad, curvature rad/m, and place x, y m."""
+    """Once around straight streets and 90 degree corners, a staircase and back, at steps of 5 cm.
+
+    A corner's curvature rises and falls as 1 - cos: the steering wheel never jumps. Returns arc length (n,) m, heading
+    rad, curvature rad/m, and place x, y m. Raises ValueError when the loop is too short for its corners.
+    """
     from scipy.integrate import cumulative_trapezoid
 
-    s = np.append(np.arange(0, loop_length, 0.05), loop_length)
-    heading, curvature = Streets(loop_length).heading(s)
+    s, (begin, signs) = np.append(np.arange(0, loop_length, 0.05), loop_length), _corners(loop_length)
+    u = np.clip(np.subtract.outer(s, begin) / CORNER_LENGTH, 0, 1)
+    heading = np.pi / 2 * _smooth_step(u) @ signs
+    curvature = np.pi / (2 * CORNER_LENGTH) * (1 - np.cos(2 * np.pi * u)) @ signs
     return s, heading, curvature, *(cumulative_trapezoid(f(heading), s, initial=0) for f in (np.cos, np.sin))
 
 
