@@ -3,8 +3,6 @@
 `drive_along` gives the exact poses of a car on it; what its sensors measure is `simulate`'s business.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -14,24 +12,12 @@ CORNER_LENGTH = 30.0  # m of road in which a corner turns by 90 degrees
 FIRST_CORNER = 25.0  # m from the start
 
 
-@dataclass(frozen=True)
-class _Waves:
-    """A smooth random function of arc length that repeats after one lap: a sum of sines, zero mean."""
-
-    frequency: np.ndarray  # (n,) rad/m
-    amplitude: np.ndarray  # (n,)
-    phase: np.ndarray  # (n,) rad
-
-    @classmethod
-    def draw(cls, rng, lap, wavelengths, rms, n=6):
-        cycles = np.maximum(1, np.round(lap / rng.uniform(*wavelengths, n)))
-        return cls(2 * np.pi * cycles / lap, np.full(n, rms * np.sqrt(2 / n)), rng.uniform(0, 2 * np.pi, n))
-
-    def __call__(self, s):
-        return np.sin(np.multiply.outer(s, self.frequency) + self.phase) @ self.amplitude
-
-    def slope(self, s):
-        return np.cos(np.multiply.outer(s, self.frequency) + self.phase) @ (self.amplitude * self.frequency)
+def _waves(rng, lap, wavelengths, rms, n=6):
+    """Two functions of arc length: n sines of zero mean, random, that repeat after a lap, and their slope."""
+    frequency = 2 * np.pi * np.maximum(1, np.round(lap / rng.uniform(*wavelengths, n))) / lap  # rad/m
+    amplitude, phase = np.full(n, rms * np.sqrt(2 / n)), rng.uniform(0, 2 * np.pi, n)
+    return (lambda s: np.sin(np.multiply.outer(s, frequency) + phase) @ amplitude,
+            lambda s: np.cos(np.multiply.outer(s, frequency) + phase) @ (amplitude * frequency))
 
 
 def _smooth_step(u):
@@ -87,7 +73,7 @@ def drive_along(rng, times, speed, loop_length, hills, lane_change=0.0):
 
     s, heading, curvature, x, y = centre_line(loop_length)
     pace = 1 - 0.5 * np.abs(curvature) * CORNER_LENGTH / np.pi
-    pace *= 1 + _Waves.draw(rng, loop_length, (60, 200), 0.08)(s)
+    pace *= 1 + _waves(rng, loop_length, (60, 200), 0.08)[0](s)
     lap_time = cumulative_trapezoid(1 / pace, s, initial=0)
     lap_time *= loop_length / speed / lap_time[-1]
 
@@ -95,16 +81,16 @@ def drive_along(rng, times, speed, loop_length, hills, lane_change=0.0):
     at = np.interp(since, lap_time, s)
     heading, curvature, x, y = (np.interp(at, s, values) for values in (heading, curvature, x, y))
 
-    lane = _Waves.draw(rng, loop_length, (40, 120), 0.3)
-    hill = _Waves.draw(rng, loop_length, (100, 300), hills)
-    heave, pitch, roll = (_Waves.draw(rng, loop_length, (8, 25), rms) for rms in (0.01, 0.004, 0.004))
+    lane, lane_slope = _waves(rng, loop_length, (40, 120), 0.3)
+    hill, hill_slope = _waves(rng, loop_length, (100, 300), hills)
+    heave, pitch, roll = (_waves(rng, loop_length, (8, 25), rms)[0] for rms in (0.01, 0.004, 0.004))
 
     change = np.clip((loop_length * (laps - 1) + at) / CORNER_LENGTH, 0, 1)  # from 0 to 1 as the second lap begins
     side = lane(at) + lane_change * _smooth_step(change)
-    side_slope = lane.slope(at) + lane_change * (1 - np.cos(2 * np.pi * change)) / CORNER_LENGTH
+    side_slope = lane_slope(at) + lane_change * (1 - np.cos(2 * np.pi * change)) / CORNER_LENGTH
     x, y = x - side * np.sin(heading), y + side * np.cos(heading)
     position = np.stack([x, y, hill(at) + heave(at)], -1)
     yaw = heading + np.arctan2(side_slope, 1 - curvature * side)
-    pitches = pitch(at) - np.arctan(hill.slope(at))  # nose up is a negative turn about y, which points left
+    pitches = pitch(at) - np.arctan(hill_slope(at))  # nose up is a negative turn about y, which points left
     rolls = roll(at) + 0.3 * curvature
     return se3.pose(Rotation.from_euler("ZYX", np.stack([yaw, pitches, rolls], -1)).as_matrix(), position)
