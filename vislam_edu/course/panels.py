@@ -53,13 +53,6 @@ def round_up(length, steps=(1, 2, 5, 10)):
     return power * next(step for step in steps if step * power >= length)
 
 
-def image_axes(picture, rect, title):
-    """Axes at rect that are one camera's image, px; v points down."""
-    width, height = IMAGE_SIZE
-    return add_axes(picture, rect, title, xlim=(0, width), ylim=(height, 0), aspect="equal", anchor="W",
-                    facecolor="0.97")
-
-
 def new_image():
     """Figure and axes that are the left camera's image, px; v points down."""
     figure, axes = plots.new_figure(height=1.75)

@@ -5,9 +5,9 @@ from matplotlib.collections import LineCollection
 from matplotlib.path import Path
 
 from ...plots.style import COLOURS, ellipse_points
-from ...simulate import kitti_camera
+from ...simulate import IMAGE_SIZE, kitti_camera
 from ...widgets.canvas import Number, Picture
-from ..panels import add_axes, image_axes, legend, legend_above, moving_line
+from ..panels import add_axes, legend, legend_above, moving_line
 
 DRAWS = 500
 NEAR, FAR = 4.0, 60.0  # m
@@ -71,8 +71,8 @@ class StereoDepthPicture(Picture):
 
     def _build_image(self, side, left):
         """One camera's image, with the noise around its pixel magnified beside it."""
-        axes = image_axes(self, (left, 0.72, 0.25, 0.22), f"{side} image (px)")
-        axes.set_xticks([0, 600, 1200])
+        axes = add_axes(self, (left, 0.72, 0.25, 0.22), f"{side} image (px)", xlim=(0, IMAGE_SIZE[0]),
+                        ylim=(IMAGE_SIZE[1], 0), xticks=[0, 600, 1200], aspect="equal", anchor="W", facecolor="0.97")
         zoom = add_axes(self, (left + 0.3, 0.75, 0.13, 0.17), "noise (px)", xlim=(-ZOOM, ZOOM), ylim=(ZOOM, -ZOOM),
                         xticks=[-3, 0, 3], yticks=[-3, 0, 3], aspect="equal", facecolor="0.97")
         return (moving_line(self, axes, "o", ms=5, color=COLOURS["measured"]),

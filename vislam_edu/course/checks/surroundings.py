@@ -95,11 +95,9 @@ def _limited_memory() -> Iterator[None]:
     except (ImportError, OSError):
         yield
         return
-    before = resource.getrlimit(resource.RLIMIT_AS)
-    limit = used + _MEMORY
-    if before[0] != resource.RLIM_INFINITY:
-        limit = min(limit, before[0])
-    resource.setrlimit(resource.RLIMIT_AS, (limit, before[1]))
+    before = soft, hard = resource.getrlimit(resource.RLIMIT_AS)
+    limit = used + _MEMORY if soft == resource.RLIM_INFINITY else min(used + _MEMORY, soft)
+    resource.setrlimit(resource.RLIMIT_AS, (limit, hard))
     try:
         yield
     finally:

@@ -212,17 +212,15 @@ def _score(patient: Patient, drawn: Drawn, examine, findings, evidence, cure) ->
     truth = tuple((FAULTS[name].piece, FAULTS[name].kind) for name in drawn.faults)
     if drawn.healthy:
         return _score_healthy(patient, truth, findings)
-    remarks = []
-    found, kinds, proofs = 0, 0, 0
-    for name in drawn.faults:
-        pieces = [piece for piece, _ in FAULTS[name].answers]
-        named = [finding for finding in findings if finding[0] in pieces]
-        found += bool(named)
-        kinds += any(finding in FAULTS[name].answers for finding in named)
+    answers = [FAULTS[name].answers for name in drawn.faults]
+    pieces = [{piece for piece, _ in each} for each in answers]
+    found = sum(any(piece in each for piece, _ in findings) for each in pieces)
+    kinds = sum(any(finding in each for finding in findings) for each in answers)
+    remarks, proofs = [], 0
     for test, (piece, _) in zip(evidence, findings):
         if not test:
             continue
-        if not any(piece == right for name in drawn.faults for right, _ in FAULTS[name].answers):
+        if not any(piece in each for each in pieces):
             remarks.append(f"It was not {piece!r}, so {test!r} is no evidence of it.")
         elif test not in patient.readings:
             remarks.append(f"{test!r} was not ordered: no evidence.")
@@ -264,11 +262,10 @@ def _cure(drawn: Drawn, cure: Mapping[str, Any], evidence: list[str], remarks: l
     rmse, sigma = _rmse_and_sigma(build, seed)
     healthy = _rmse_and_sigma(Build(), seed)
     no_worse = rmse <= WORSE * healthy[0] and healthy[1] / WORSE <= sigma <= WORSE * healthy[1]
-    for right, remark in ((benches, "After the cure a bench is still outside its band."),
-                          (back, "The evidence did not return to its band, or there was none."),
-                          (no_worse, "After the cure RMSE or sigma is not that of a healthy patient.")):
-        if not right:
-            remarks.append(remark)
+    remarks += [remark for right, remark in (
+        (benches, "After the cure a bench is still outside its band."),
+        (back, "The evidence did not return to its band, or there was none."),
+        (no_worse, "After the cure RMSE or sigma is not that of a healthy patient.")) if not right]
     return float(benches + back + no_worse)
 
 
