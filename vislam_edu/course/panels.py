@@ -1,6 +1,7 @@
 """Axes and legends with small lettering, shared by the pictures of several chapters."""
 
 import numpy as np
+from matplotlib.collections import LineCollection
 
 from .. import plots
 from ..simulate import IMAGE_SIZE
@@ -22,6 +23,11 @@ def add_axes(picture, rect, title, xlabel="", ylabel="", **kwargs):
 def moving_line(picture, axes, *form, **style):
     """A line of the axes, empty until the picture's `draw` gives it points. form, style : as of matplotlib's plot."""
     return picture.moves(*axes.plot([], [], *form, **style))
+
+
+def moving_segments(picture, axes, **style):
+    """Line segments of the axes, none until the picture's `draw` sets them. style : as of `LineCollection`."""
+    return picture.moves(axes.add_collection(LineCollection([], **style), autolim=False))
 
 
 def legend(axes, handles, columns=9, **kwargs):

@@ -1,4 +1,4 @@
-"""Figures of chapter 00. Poses are world_T_imu, (T, 4, 4); positions in metres in the world frame; each is a Figure."""
+"""Figures of chapter 00, one a function. Poses are world_T_imu, (T, 4, 4); positions in metres in the world frame."""
 
 import numpy as np
 from matplotlib.collections import LineCollection

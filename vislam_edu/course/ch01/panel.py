@@ -4,13 +4,12 @@ from dataclasses import dataclass
 from functools import lru_cache, reduce
 
 import numpy as np
-from matplotlib.collections import LineCollection
 from matplotlib.path import Path
 
 from ... import odometry, se3
 from ...plots.style import COLOURS, ellipse_points
 from ...widgets.canvas import Number, Picture
-from ..panels import LETTERING, add_axes, legend_above, moving_line, round_up
+from ..panels import LETTERING, add_axes, legend_above, moving_line, moving_segments, round_up
 
 TAU = 0.5  # s, one IMU sample
 SAMPLES = 20
@@ -152,10 +151,10 @@ class TwistPicture(Picture):
                               yticks=[], aspect="equal", adjustable="box")
         self.space.grid(False)
         self.space.spines[:].set_visible(False)
-        self.ground, self.shadow, self.axis, self.triads = self.moves(*(
-            self.space.add_collection(LineCollection([], **style), autolim=False) for style in (
-                {"lw": 0.6, "color": "0.85"}, {"lw": 1.0, "color": "0.7", "label": "its shadow on z = 0"},
-                {"lw": 1.2, "ls": "--", "color": COLOURS["smoother"], "label": "screw axis"}, {"lw": 2.0})))
+        self.ground = moving_segments(self, self.space, lw=0.6, color="0.85")
+        self.shadow = moving_segments(self, self.space, lw=1.0, color="0.7", label="its shadow on z = 0")
+        self.axis = moving_segments(self, self.space, lw=1.2, ls="--", color=COLOURS["smoother"], label="screw axis")
+        self.triads = moving_segments(self, self.space, lw=2.0)
         self.path = moving_line(self, self.space, "-", lw=1.6, color=COLOURS["truth"], label="exp")
         self.euler = moving_line(self, self.space, "o--", lw=1.4, ms=3.5, color=COLOURS["measured"], label="Euler")
         self.grid = self.figure.text(0.02, 0.02, "", fontsize=LETTERING, color="0.35")  # stays with the frame
@@ -163,17 +162,15 @@ class TwistPicture(Picture):
 
         self.above = add_axes(self, (0.58, 0.12, 0.4, 0.64), "From above: noise on v x, v y, ω z", "x (m)", "y (m)",
                               aspect="equal", adjustable="box")
-        lines = [moving_line(self, self.above, form, color=colour, label=label, **style) for form, colour, label, style
-                 in ((".", "0.55", f"{PARTICLES} noisy runs", {"ms": 2.5}),
-                     ("-", COLOURS["truth"], "exp", {"lw": 1.2}),
-                     ("--", COLOURS["slam"], "95 % in x, y", {"lw": 1.6}),
-                     ("-", COLOURS["posterior"], "95 % in exp", {"lw": 1.8}))]
-        self.cloud, self.mean_path, self.plane, self.banana = lines
-        legend_above(self.above, lines, lines=2, x=-0.12)
+        self.cloud = moving_line(self, self.above, ".", ms=2.5, color="0.55", label=f"{PARTICLES} noisy runs")
+        self.mean_path = moving_line(self, self.above, "-", lw=1.2, color=COLOURS["truth"], label="exp")
+        self.plane = moving_line(self, self.above, "--", lw=1.6, color=COLOURS["slam"], label="95 % in x, y")
+        self.banana = moving_line(self, self.above, "-", lw=1.8, color=COLOURS["posterior"], label="95 % in exp")
+        legend_above(self.above, [self.cloud, self.mean_path, self.plane, self.banana], lines=2, x=-0.12)
 
-    def _outcome(self, samples, steps, sigma_omega, **twist):
+    def _outcome(self, v_x, v_y, v_z, omega_x, omega_y, omega_z, **others):
         """What there is to show, a `Motion`."""
-        return Motion(list(twist.values()), samples, steps, sigma_omega, self.normal)
+        return Motion([v_x, v_y, v_z, omega_x, omega_y, omega_z], **others, normal=self.normal)
 
     def draw(self, **state):
         """Show the twist [v, omega] of the sliders integrated for so many samples of the IMU."""

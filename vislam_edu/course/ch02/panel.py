@@ -1,13 +1,12 @@
 """Chapter 02: a point at a depth, the noise of its pixels, and where triangulation then puts it."""
 
 import numpy as np
-from matplotlib.collections import LineCollection
 from matplotlib.path import Path
 
 from ...plots.style import COLOURS, ellipse_points
 from ...simulate import IMAGE_SIZE, kitti_camera
 from ...widgets.canvas import Number, Picture
-from ..panels import add_axes, legend, legend_above, moving_line
+from ..panels import add_axes, legend, legend_above, moving_line, moving_segments
 
 DRAWS = 500
 NEAR, FAR = 4.0, 60.0  # m
@@ -53,7 +52,7 @@ class StereoDepthPicture(Picture):
         self.above = add_axes(self, (0.09, 0.11, 0.39, 0.34), "From above, sideways stretched", "forward (m)",
                               "to the right (m)", xlim=(0, 110), ylim=(1.9, -1.9))
         self.above.plot([0, 0], [0, self.camera.baseline], ">", ms=7, color="black", clip_on=False, zorder=3)
-        self.rays = self.moves(self.above.add_collection(LineCollection([], lw=0.8, color="0.6"), autolim=False))
+        self.rays = moving_segments(self, self.above, lw=0.8, color="0.6")
         self.cloud = moving_line(self, self.above, ".", ms=2.5, color=COLOURS["measured"], label="triangulated")
         self.ellipse = moving_line(self, self.above, "-", lw=1.6, color=COLOURS["posterior"], label="95 % ellipse")
         self.point = moving_line(self, self.above, "+", ms=7, mew=1.2, color=COLOURS["truth"], label="true point")

@@ -1,13 +1,12 @@
 """Chapter 12: the search for pairs that fit together, one node of its tree after the other."""
 
 import numpy as np
-from matplotlib.collections import LineCollection
 
 from ... import kalman
 from ...association import Candidates, branch_and_bound
 from ...plots.style import COLOURS
 from ...widgets.canvas import Number, Picture
-from ..panels import add_axes, fit_equal, legend_above, moving_line
+from ..panels import add_axes, fit_equal, legend_above, moving_line, moving_segments
 
 
 class BranchesPicture(Picture):
@@ -39,8 +38,7 @@ class BranchesPicture(Picture):
         self.tree = add_axes(self, (0.06, 0.14, 0.36, 0.68), "Sets of pairs, in the order of the search",
                              "node", "pairs", xlim=(0, len(self.nodes) + 1), ylim=(self.depth.max() + 0.5, -0.5),
                              yticks=np.arange(self.depth.max() + 1))
-        self.edges = self.moves(self.tree.add_collection(
-            LineCollection([], colors=COLOURS["faded"], linewidths=0.9), autolim=False))
+        self.edges = moving_segments(self, self.tree, colors=COLOURS["faded"], linewidths=0.9)
         self.fitting = moving_line(self, self.tree, "o", ms=5, color=COLOURS["accepted"], label="fits together")
         self.ended = moving_line(self, self.tree, "x", ms=5, color=COLOURS["rejected"], label="does not")
         self.here = moving_line(self, self.tree, "o", ms=12, mfc="none", mew=1.5, color=COLOURS["truth"],
@@ -57,7 +55,7 @@ class BranchesPicture(Picture):
             for row in rows:
                 self.map.annotate(str(ids[row]), points[row, :2], xytext=(beside, 0), textcoords="offset points",
                                   fontsize=9, color=COLOURS[colour], ha=side, va="center", clip_on=True)
-        self.lines = self.moves(self.map.add_collection(LineCollection([], linewidths=2.5), autolim=False))
+        self.lines = moving_segments(self, self.map, linewidths=2.5)
         (olds,) = self.map.plot(*old[:, :2].T, "s", ms=3, color=COLOURS["dead_reckoning"], label="old")
         (news,) = self.map.plot(*new[:, :2].T, "o", ms=3, color=COLOURS["posterior"], label="new")
         legend_above(self.map, [news, olds])
