@@ -1,14 +1,13 @@
 """Chapter 09: the same drive with every landmark, every second, ... every twentieth, filtered anew for each."""
 
 import numpy as np
-from matplotlib.collections import LineCollection
 
 from ... import metrics, plots, window_slam
 from ...error_state import RightInvariant
 from ...plots.style import COLOURS
 from ...studies import pipeline
 from ...widgets.canvas import Number, Picture
-from ..panels import add_axes, legend, moving_line
+from ..panels import add_axes, legend, moving_line, moving_segments
 
 MOST = 20  # of how many landmarks one is kept, at most
 ELLIPSES = 12  # along the path
@@ -67,12 +66,11 @@ class SubsamplingPicture(Picture):
         half = 1.25 * max((high - low) / (box.width, box.height)) / 2 * np.array([box.width, box.height])  # m
         (x0, y0), (x1, y1) = (low + high) / 2 - half, (low + high) / 2 + half
         self.map.set(xlim=(x0, x1), ylim=(y0, y1))
-        (self.points,) = self.map.plot([], [], ".", ms=3, color=COLOURS["slam"], label="landmarks kept")
-        (self.path,) = self.map.plot([], [], "--", lw=1.6, color=blue, label="estimated path")
-        self.ellipses = self.map.add_collection(LineCollection([], colors=blue, lw=1.0, label="95 % of the position"),
-                                                autolim=False)
+        self.points = moving_line(self, self.map, ".", ms=3, color=COLOURS["slam"], label="landmarks kept")
+        self.ellipses = moving_segments(self, self.map, colors=blue, lw=1.0, label="95 % of the position")
+        self.path = moving_line(self, self.map, "--", lw=1.6, color=blue, label="estimated path")
         names = legend(self.map, [truth, self.path, self.points, self.ellipses], columns=2, loc="center")
-        self.moves(self.points, self.ellipses, self.path, names)  # the names too, or the landmarks would cover them
+        self.moves(names)  # or the landmarks would cover them
 
         t = self.drive.times - self.drive.times[0]
         self.time = add_axes(self, (0.1, 0.08, 0.38, 0.24), "Position error", "time (s)", "error (m)",
