@@ -23,10 +23,9 @@ from ...error_state import ErrorState, RightPerturbation
 from ...noise import Noise
 from ...plots.text import on_a_page
 from ...studies.runs import Run, record
-from ..checks.comparing import number
+from ..checks.comparing import number, wrong_entries
 from ..checks.exercise import EXERCISES, find
 from ..checks.picture import matrices
-from ..checks.right_parts import wrong_entries
 from ..checks.running import Unreadable, copied, error_message, outcome_of, within
 from ..checks.verdict import NOT_WRITTEN, RIGHT, WRONG, Verdict, judge
 from .exercises import NOISE, apart, filter_run, renumbered

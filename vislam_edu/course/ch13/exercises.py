@@ -17,10 +17,9 @@ from ... import ekf_slam, se3, stereo, window_slam
 from ...noise import Noise
 from ...simulate import first_steps
 from ..checks import inputs
-from ..checks.comparing import close, number
+from ..checks.comparing import close, number, wrong_entries
 from ..checks.edit import calling, edited
 from ..checks.exercise import Mistake, exercise
-from ..checks.right_parts import wrong_entries
 from ..checks.running import Unreadable
 
 NOISE = Noise()

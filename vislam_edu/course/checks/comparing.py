@@ -30,10 +30,14 @@ def close(came, should, tolerance) -> bool:
     if came.shape != should.shape:
         return False
     finite = np.isfinite(should)
-    if (finite != np.isfinite(came)).any():
-        return False
-    scale = np.abs(should[finite]).max(initial=0.0) or 1.0
-    return bool(np.all(np.abs(came[finite] - should[finite]) <= tolerance * scale))
+    return bool((finite == np.isfinite(came)).all() and not wrong_entries(came, should, tolerance)[finite].any())
+
+
+def wrong_entries(came: np.ndarray, should: np.ndarray, tolerance: float) -> np.ndarray:
+    """Where two arrays of one shape differ by more than tolerance times the largest entry."""
+    scale = np.abs(should[np.isfinite(should)]).max(initial=0.0) or 1.0
+    with np.errstate(invalid="ignore"):  # inf - inf, of a point without disparity
+        return ~(np.abs(came - should) <= tolerance * scale)
 
 
 def same(exercise, outcome, values) -> list[bool]:

@@ -13,7 +13,7 @@ from matplotlib.patches import Rectangle
 
 from ...plots import drawing
 from ...plots.style import ellipse_points, png_and_alt, styled
-from .right_parts import wrong_entries
+from .comparing import wrong_entries
 
 _YOURS, _RIGHT = "#d55e00", "#0072b2"
 

@@ -4,7 +4,7 @@ from collections import Counter
 
 import numpy as np
 
-from .comparing import close
+from .comparing import close, wrong_entries
 
 
 def remarks(exercise, cases, outcomes, expected, sames) -> tuple[list[str], list[str]]:
@@ -101,13 +101,6 @@ def _kind(pairs, tolerance) -> str:
     if all(np.abs(b).max() <= size for (_, b), size in zip(parts, sizes)):
         return ". There the right result is zero"
     return ""
-
-
-def wrong_entries(came: np.ndarray, should: np.ndarray, tolerance: float) -> np.ndarray:
-    """Where two arrays of one shape differ by more than tolerance times the largest entry."""
-    scale = np.abs(should[np.isfinite(should)]).max(initial=0.0) or 1.0
-    with np.errstate(invalid="ignore"):  # inf - inf, of a point without disparity
-        return ~(np.abs(came - should) <= tolerance * scale)
 
 
 def _where(pairs, tolerance) -> str:
