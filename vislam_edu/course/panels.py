@@ -20,7 +20,7 @@ def add_axes(picture, rect, title, xlabel="", ylabel="", **kwargs):
 
 
 def moving_line(picture, axes, *form, **style):
-    """A line of the axes, empty until the picture's `draw` gives it points. form, style : what matplotlib takes."""
+    """A line of the axes, empty until the picture's `draw` gives it points. form, style : as of matplotlib's plot."""
     return picture.moves(*axes.plot([], [], *form, **style))
 
 

@@ -74,15 +74,12 @@ def _report(arguments) -> None:
         raise OptionError(f"exercises --for {arguments.system}: --roster names the file with the students' ids")
     chosen = _sandbox(arguments) if arguments.sandbox else None
     with files.made_folder(arguments.out):
-        _written(arguments, people, worth, chosen)
-
-
-def _written(arguments, people, worth, chosen) -> None:
-    submissions = collecting.graded(arguments.report, arguments.out, arguments.limit, arguments.jobs, chosen)
-    report.write(submissions, arguments.out)
-    rows, worth = points.rows(submissions, people, worth, arguments.due, arguments.late, arguments.several == "best")
-    written = points.write(rows, worth, arguments.out, arguments.system, arguments.assignment)
-    (arguments.out / collecting.KEPT).unlink()
+        submissions = collecting.graded(arguments.report, arguments.out, arguments.limit, arguments.jobs, chosen)
+        report.write(submissions, arguments.out)
+        rows, worth = points.rows(submissions, people, worth, arguments.due, arguments.late,
+                                  arguments.several == "best")
+        written = points.write(rows, worth, arguments.out, arguments.system, arguments.assignment)
+        (arguments.out / collecting.KEPT).unlink()
     say(report.table(submissions) + "\n\n" + report.summary(submissions))
     say(f"written to {arguments.out}: exercises.csv, exercises.json, matrix.csv, {', '.join(written)}, similar.csv, "
           "summary.txt, feedback")

@@ -10,7 +10,6 @@ healthy patients read in them, are in `clinic_tests`. Whoever reads the source c
 (`examination`) takes a secret key, and shows readings only.
 """
 
-import textwrap
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
@@ -19,7 +18,7 @@ import numpy as np
 from scipy import stats
 
 from ...belief import Step
-from ...plots.text import PAGE
+from ...plots.text import on_a_page
 from . import clinic_tests
 from .clinic_tests import CLEARED_TOGETHER, TESTS, Readings, bands, outside, read
 from .patients import FAULTS, HEALTHY, KINDS, PIECES, Build, Drawn, draw, stream
@@ -144,8 +143,7 @@ class Patient:
                 low, high = bands()[name][key].limits
                 mark = "" if low <= value <= high else "   <"
                 lines.append(f"  {key:50}{_number(value):>9}   {_number(low)} to {_number(high)}{mark}")
-        left = textwrap.fill(f"suspects left: {', '.join(self.left)}", PAGE, subsequent_indent="  ")
-        return "\n".join([*lines, left, f"budget left: {self.budget}"])
+        return "\n".join([*lines, on_a_page(f"suspects left: {', '.join(self.left)}"), f"budget left: {self.budget}"])
 
     def answer(self, piece: str | tuple[str, ...], kind: str | tuple[str, ...], evidence: str | tuple[str, ...] = "",
                cure: Mapping[str, Any] | None = None) -> Score:
