@@ -162,7 +162,7 @@ def main():
     arguments = parser.parse_args()
     if gtsam is None:
         raise SystemExit('this benchmark needs GTSAM, which the package does not: pip install "vislam_edu[gtsam]"')
-    street = batch.Problem(simulate.street_loop_data(), Noise())
+    street = batch.Problem(simulate.street_loop(), Noise())
     cases = [("street loop", street, 1e-2)]
     for drive in real_drives.drives(arguments):
         report = audit(drive)

@@ -38,9 +38,6 @@ ROTATION, POSITION, VELOCITY, GYRO_BIAS, ACCELEROMETER_BIAS = (slice(i, i + 3) f
 BIASES = slice(9, 15)
 
 
-# --- The sensor -------------------------------------------------------------------------------------------------
-
-
 @dataclass(frozen=True)
 class ImuNoise:
     """What a datasheet, or an Allan variance, says about an IMU. The defaults are those of an ADIS16448 (EuRoC).
@@ -78,8 +75,6 @@ class ImuNoise:
 
 
 ADIS16448 = ImuNoise()
-
-# --- The state and one sample -----------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,9 +147,6 @@ def jacobians(rotation: np.ndarray, omega: np.ndarray, force: np.ndarray,
     return F, N
 
 
-# --- Preintegration ---------------------------------------------------------------------------------------------
-
-
 @dataclass(frozen=True, eq=False)
 class Preintegrated:
     """Samples of `duration` seconds joined into one motion, seen from the IMU frame at their start, without gravity.
@@ -205,13 +197,11 @@ def correct(motion: Preintegrated, gyro_bias: np.ndarray, accelerometer_bias: np
                    position=motion.position + moved[POSITION], velocity=motion.velocity + moved[VELOCITY])
 
 
-def predict(state: State, motion: Preintegrated, gravity: np.ndarray = GRAVITY) -> State:
+def predict(state: State, motion: Preintegrated) -> State:
     """The state after the motion, as `propagate` gives it after all samples, if it was made with the state's biases."""
-    t = motion.duration
-    return replace(state, rotation=state.rotation @ motion.rotation,
-                   position=(state.position + t * state.velocity + t**2 / 2 * gravity
-                             + state.rotation @ motion.position),
-                   velocity=state.velocity + t * gravity + state.rotation @ motion.velocity)
+    t, R = motion.duration, state.rotation
+    return replace(state, rotation=R @ motion.rotation, velocity=state.velocity + t * GRAVITY + R @ motion.velocity,
+                   position=state.position + t * state.velocity + t**2 / 2 * GRAVITY + R @ motion.position)
 
 
 def transition(rotation: np.ndarray, motion: Preintegrated) -> tuple[np.ndarray, np.ndarray]:
@@ -227,11 +217,7 @@ def transition(rotation: np.ndarray, motion: Preintegrated) -> tuple[np.ndarray,
     return F, turn @ motion.covariance @ turn.T
 
 
-# --- A factor of a batch estimate -------------------------------------------------------------------------------
-
-
-def residual(before: State, after: State, motion: Preintegrated,
-             gravity: np.ndarray = GRAVITY) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def residual(before: State, after: State, motion: Preintegrated) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """What two states say about a motion minus what the samples say, (15,), of covariance `motion.covariance`.
 
     Order [R, p, v, b_g, b_a]; the last two are the walk of the biases. Returns it and its derivatives (15, 15) by the
@@ -240,8 +226,8 @@ def residual(before: State, after: State, motion: Preintegrated,
     """
     t, Rt = motion.duration, before.rotation.T
     expected = correct(motion, before.gyro_bias, before.accelerometer_bias)
-    position = Rt @ (after.position - before.position - t * before.velocity - t**2 / 2 * gravity)
-    velocity = Rt @ (after.velocity - before.velocity - t * gravity)
+    position = Rt @ (after.position - before.position - t * before.velocity - t**2 / 2 * GRAVITY)
+    velocity = Rt @ (after.velocity - before.velocity - t * GRAVITY)
     turn = so3_log(expected.rotation.T @ Rt @ after.rotation)
     r = np.concatenate([turn, position - expected.position, velocity - expected.velocity,
                         after.gyro_bias - before.gyro_bias, after.accelerometer_bias - before.accelerometer_bias])
@@ -261,9 +247,6 @@ def residual(before: State, after: State, motion: Preintegrated,
     return r, by_before, by_after
 
 
-# --- A stand-still ----------------------------------------------------------------------------------------------
-
-
 def upright(up: np.ndarray) -> np.ndarray:
     """(3, 3): the shortest turn that takes the unit vector `up` (3,), IMU frame, to the z axis of the world."""
     turn = np.cross(up, [0.0, 0.0, 1.0])
@@ -272,7 +255,7 @@ def upright(up: np.ndarray) -> np.ndarray:
 
 
 def stand_still(gyro: np.ndarray, accelerometer: np.ndarray, taus: np.ndarray, noise: ImuNoise = ADIS16448,
-                bias_sigma: float = 0.1, gravity: np.ndarray = GRAVITY) -> tuple[State, np.ndarray]:
+                bias_sigma: float = 0.1) -> tuple[State, np.ndarray]:
     """State and covariance (15, 15) after samples (n, 3) of an IMU that does not move, of taus (n,) s.
 
     bias_sigma : m/s^2, what the accelerometer's bias may be. Position and heading start at zero, without uncertainty:
@@ -281,7 +264,7 @@ def stand_still(gyro: np.ndarray, accelerometer: np.ndarray, taus: np.ndarray, n
     the covariance says so.
     """
     up = accelerometer.mean(axis=0)
-    length, g = np.linalg.norm(up), np.linalg.norm(gravity)
+    length, g = np.linalg.norm(up), np.linalg.norm(GRAVITY)
     up = up / length
     state = replace(State.at_rest(gyro.mean(axis=0), (length - g) * up), rotation=upright(up))
 

@@ -37,7 +37,7 @@ def process_frame(prior: Belief, ids: np.ndarray, pixels: np.ndarray, settings: 
 
     Returns (prior, posterior, Innovation); its `accepted` are those that agree with the posterior.
     """
-    return window_slam.correct_frame(update, prior, ids, pixels, settings)
+    return window_slam.correlated(prior, ids, pixels, settings, update)
 
 
 def weights(squared: np.ndarray) -> np.ndarray:

@@ -81,20 +81,6 @@ def compute_innovation(prior: Belief, ids: np.ndarray, pixels: np.ndarray,
     return Innovation(ids, pixels, predicted, S, nis, in_front & (nis <= settings.threshold)), H
 
 
-def apply_update(prior: Belief, H: BlockJacobian, residual: np.ndarray, settings: UpdateSettings,
-                 error: np.ndarray | float = 0.0) -> Belief:
-    """EKF update of the whole joint belief with all the measurements of H; residual : (m, 4), px.
-
-    error : (d,), the error that the mean of the prior has at the point of linearisation, zero where this is the mean.
-    Source: report section 3.3.2, steps 3 to 5.
-    """
-    if not len(residual):
-        return prior
-    delta, covariance = blockwise.absorb(prior.covariance, H, stereo.reduce_rows(residual),
-                                         _variance(residual, settings))
-    return motion.retract(prior, delta + error, covariance, settings.error_state, settings.retract_motion)
-
-
 def _variance(residual: np.ndarray, settings: UpdateSettings) -> np.ndarray:
     return np.tile(settings.noise.sigma_px**2 * stereo.ROW_VARIANCE, (len(residual), 1))
 
@@ -124,12 +110,18 @@ def relinearise(prior: Belief, H: BlockJacobian, innovation: Innovation, setting
 
 
 def update(prior: Belief, ids: np.ndarray, pixels: np.ndarray, settings: UpdateSettings) -> tuple[Belief, Innovation]:
-    """EKF update with those landmarks `ids` (m,), all in the window, that the gate lets pass. pixels : (m, 4)."""
+    """EKF update with those landmarks `ids` (m,), all in the window, that the gate lets pass. pixels : (m, 4).
+
+    Source: report section 3.3.2, steps 3 to 5.
+    """
     if len(ids) == 0:
         return prior, NO_INNOVATION
     innovation, H = compute_innovation(prior, ids, pixels, settings)
     there, error, H, residual, good = relinearise(prior, H, innovation, settings)
-    return apply_update(there, H, residual, settings, error), replace(innovation, accepted=good)
+    if len(residual):
+        delta, P = blockwise.absorb(there.covariance, H, stereo.reduce_rows(residual), _variance(residual, settings))
+        there = motion.retract(there, delta + error, P, settings.error_state, settings.retract_motion)
+    return there, replace(innovation, accepted=good)
 
 
 def marginalise(belief: Belief, keep: np.ndarray) -> Belief:
@@ -193,19 +185,17 @@ def add_as_report(belief: Belief, ids: np.ndarray, pixels: np.ndarray, settings:
                    settings.noise.landmark_prior * np.eye(3 * len(ids)))
 
 
-def correct_frame(update: Callable[..., tuple[Belief, Innovation]], prior: Belief, ids: np.ndarray,
-                  pixels: np.ndarray, settings: UpdateSettings) -> Frame:
-    """Known landmarks correct the state by `update`, then new ones join it, their first measurement used once."""
+def correlated(prior: Belief, ids: np.ndarray, pixels: np.ndarray, settings: UpdateSettings,
+               update: Callable[..., tuple[Belief, Innovation]] = update) -> Frame:
+    """The correct frame: known landmarks correct the state by `update`, then new ones join it, their pixels used once.
+
+    Returns (prior, posterior, Innovation).
+    """
     known = contains(prior.ids, ids)
     posterior, innovation = update(prior, ids[known], pixels[known], settings)
     if not known.all():
         posterior = add_correlated(posterior, ids[~known], pixels[~known], settings)
     return prior, posterior, innovation
-
-
-def correlated(prior: Belief, ids: np.ndarray, pixels: np.ndarray, settings: UpdateSettings) -> Frame:
-    """The correct frame with the plain gate, see `correct_frame`."""
-    return correct_frame(update, prior, ids, pixels, settings)
 
 
 def as_report(prior: Belief, ids: np.ndarray, pixels: np.ndarray, settings: UpdateSettings) -> Frame:

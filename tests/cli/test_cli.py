@@ -24,7 +24,7 @@ from vislam_edu.noise import Noise
 from vislam_edu.plots import report_figures
 from vislam_edu.recordings import files as recorded
 from vislam_edu.simulate import faults, street_loop
-from vislam_edu.studies import breakdown, pipeline
+from vislam_edu.studies import pipeline, run_warnings
 
 SHARED = Path(__file__).resolve().parents[3] / "shared" / "data"
 KEYS = ["frames", "duration_s", "landmarks", "landmarks_used", "measurements", "rejected_share", "filter_s",
@@ -517,7 +517,7 @@ def test_a_filter_that_breaks_down_says_what_is_likely(options, reason, recordin
 
 def test_an_indefinite_covariance_is_found_in_every_estimate(recording):
     result = pipeline.run_pipeline(recordings.load(recording).slice(0, 20), Noise())
-    assert breakdown.unusable(result) == []
+    assert run_warnings.unusable(result) == []
 
     def spoiled(covariance, value):
         changed = covariance.copy()
@@ -527,9 +527,9 @@ def test_an_indefinite_covariance_is_found_in_every_estimate(recording):
     for value in (1e-9, np.nan):
         walk, path, found = result.dead_reckoning, result.slam.trajectory, result.slam.map
         mapped = result.mapped.map
-        assert breakdown.unusable(replace(result, dead_reckoning=replace(
+        assert run_warnings.unusable(replace(result, dead_reckoning=replace(
             walk, covariance=spoiled(walk.covariance, value)))) == ["dead reckoning"]
-        assert breakdown.unusable(replace(result, slam=replace(result.slam, trajectory=replace(
+        assert run_warnings.unusable(replace(result, slam=replace(result.slam, trajectory=replace(
             path, covariance=spoiled(path.covariance, value))))) == ["the path"]
         for name, change in (("the map", lambda new: replace(result, slam=replace(result.slam, map=new))),
                              ("the map on the poses of dead reckoning",
@@ -537,7 +537,7 @@ def test_an_indefinite_covariance_is_found_in_every_estimate(recording):
             old = found if name == "the map" else mapped
             covariance = old.covariance.copy()
             covariance[np.flatnonzero(old.seen)[-1]] = -value * np.eye(3)
-            assert breakdown.unusable(change(replace(old, covariance=covariance))) == [name]
+            assert run_warnings.unusable(change(replace(old, covariance=covariance))) == [name]
 
 
 # --- the other commands -----------------------------------------------------------------------------------

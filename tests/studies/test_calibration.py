@@ -84,7 +84,7 @@ def test_lens_errors_make_a_filter_too_sure_and_turning_the_knobs_cures_it():
 def test_the_imus_metre_is_found_while_driving(street):
     noise = Noise()
     wrong = with_baseline(street, 1.02)
-    slam = pipeline.joint(wrong, noise, RightInvariant(), metre=scale.of_the_cameras, **OPTIONS)
+    slam = pipeline.joint(wrong, noise, RightInvariant(), **OPTIONS)
     g = scale.running(slam.trajectory.world_T_imu, wrong, noise.sigma_v)
     assert g[0] == 1
     assert g[-1] == pytest.approx(1 / 1.02, abs=0.008)  # 0.5 m/s a sample, 150 samples at 10 m/s: 0.004

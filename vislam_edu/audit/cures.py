@@ -112,15 +112,9 @@ def _camera_at(name: str, needs_future: bool, position: Callable, turn=None) -> 
     return Cure(name, needs_future, function)
 
 
-def scale_imu(factors, what: str) -> Cure:
-    """Divide the IMU samples by fitted factors (6,); what : the cure's name."""
-    return Cure(what, True, lambda drive: drive.replace(twists=drive.twists / np.asarray(factors)))
-
-
-def reverse_gyro_axis(axis: int) -> Cure:
-    """Turn the sign of one gyro axis (0, 1, 2)."""
-    signs = np.where(np.arange(6) == 3 + axis, -1, 1)
-    return Cure(f"gyro {'xyz'[axis]} reversed", False, lambda drive: drive.replace(twists=drive.twists * signs))
+def divide_imu(name: str, factors: np.ndarray, needs_future: bool) -> Cure:
+    """Divide the IMU samples by factors (6,)."""
+    return Cure(name, needs_future, lambda drive: drive.replace(twists=drive.twists / factors))
 
 
 def describe_axes(rotation) -> str:

@@ -245,10 +245,9 @@ def _model(seen, R, p, b, scales):
 
 
 def white_noise(samples):
-    """(6,): noise of samples (n, 6) from their second differences, in which a smooth motion hardly shows.
+    """(6,): noise of samples (n, 6) from their second differences, in which smooth motion, bias and scale hardly show.
 
-    x_{k-1} - 2 x_k + x_{k+1} of white noise sigma has the variance 6 sigma^2; by the median, which sharp turns do not
-    move. A bias or a wrong scale does not show.
+    x_{k-1} - 2 x_k + x_{k+1} of white noise sigma has the variance 6 sigma^2; sharp turns do not move the median.
     Source: Allan, Statistics of atomic frequency standards, 1966 (differences in place of means).
     """
     second = np.abs(np.diff(samples, n=2, axis=0))
@@ -256,10 +255,7 @@ def white_noise(samples):
 
 
 def _imu_noise(residual, cameras, least):
-    """IMU noise (6,) behind residuals (n, 6) of which the cameras' variance is known, and which are not outliers.
-
-    least (6,) : what the IMU's own samples show.
-    """
+    """IMU noise (6,), at least `least`, behind residuals (n, 6) beside the cameras' variance; which are no outliers."""
     sigma = np.maximum(np.median(np.abs(residual), axis=0) / 0.6745, least)
     for _ in range(10):
         total = sigma**2 + cameras

@@ -51,17 +51,14 @@ def mistimed(drive, timing):
 
 
 def mirrored_axis(drive, motions, alignment):
-    """A gyro axis with the wrong sign, which no rotation explains.
+    """A gyro axis with the wrong sign, which no rotation explains: a list with the finding, or none.
 
     A car that drives ahead cannot tell one mirrored axis from another one and a half turn of the IMU; the reading that
-    needs no turn is taken.
-
-    alignment : `Alignment` of the drive as it is. Returns a list with the finding, or none, and the alignment of what
-    is right then.
+    needs no turn is taken. alignment : of the drive as it is. Also returns the `Alignment` of what is right then.
     """
     trials = []
     for axis in range(3):
-        cure = cures.reverse_gyro_axis(axis)
+        cure = cures.divide_imu(f"gyro {'xyz'[axis]} reversed", np.where(np.arange(6) == 3 + axis, -1, 1), False)
         mirrored = imu_alignment.align(drive.apply(cure), motions)
         cost = [imu_alignment.cost(fit, mirrored.variance) for fit in (alignment, mirrored)]
         z2 = imu_alignment.evidence((cost[0] - cost[1]) / 2, 4 * imu_alignment.camera_noise(mirrored))
@@ -93,10 +90,9 @@ def turned_axes(drive, alignment):
         return
     p = imu_alignment.mounting_p_value(alignment, drive.camera.imu_T_cam[:3, :3])
     if p < SIGNIFICANCE:
-        name = cures.describe_axes(turn)
         flipped = " and ".join("xyz"[i] for i in range(3) if turn[i, i] < 0) if (np.diag(turn) != 0).all() else ""
         yield Finding("IMU axes", turn.astype(int).tolist(), "rotation", chance(p),
-                      f"the samples are in another frame than the extrinsics: {name}"
+                      f"the samples are in another frame than the extrinsics: {cures.describe_axes(turn)}"
                       + (f", the {flipped} axes are flipped" if flipped else ""),
                       cures.turn_imu_axes(turn.T), f"right-multiply cam_T_imu by {cures.describe_axes(turn.T)}")
 
@@ -174,8 +170,7 @@ def scale_conflict(drive, alignment):
         yield _contradiction("scale conflict", scale, p, text)
         return
     if abs(scale - 1) > CAMERAS_SCALE:
-        factors = np.r_[[scale] * 3, np.ones(3)]
-        cure = cures.scale_imu(factors, f"speed divided by {scale:.4f}")
+        cure = cures.divide_imu(f"speed divided by {scale:.4f}", np.repeat([scale, 1], 3), True)
         advice = f"divide the speed by {scale:.3f}: no calibration of cameras is that far off"
     else:
         cure, advice = None, "choose; `run` takes the IMU's metre, whose noise averages out, and says by how much"
@@ -190,7 +185,7 @@ def gyro_scale(drive, alignment):
     elif p < SIGNIFICANCE and abs(scale - 1) > 2 * MIN_SCALE:
         yield Finding(
             "gyro scale", scale, "IMU / cameras", chance(p), f"the IMU's gyro is {scale:.3f} times the cameras'",
-            cures.scale_imu(np.r_[np.ones(3), [scale] * 3], f"gyro divided by {scale:.4f}"),
+            cures.divide_imu(f"gyro divided by {scale:.4f}", np.repeat([1, scale], 3), True),
             f"divide the gyro by {scale:.3f}")
 
 

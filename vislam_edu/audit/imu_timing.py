@@ -50,7 +50,7 @@ class Timing:
     def p_value(self, offset) -> float:
         """How often the best offset would win by as much if this one (whole or a half) were right.
 
-        `imu_alignment.evidence` tells why the cameras' noise counts; two offsets see two independent pieces of it.
+        The cameras' noise counts as in `imu_alignment.evidence`; two offsets see two independent pieces of it.
         """
         if not np.isfinite(self.peak[1]):
             return 1.0  # no offset stands out
@@ -70,30 +70,25 @@ def estimate(drive, motions) -> Timing:
     """
     steps = imu_alignment.enough_steps(motions)
     seen, covariance = motions.twists[steps], motions.twist_covariance[steps]
-    residuals: list[np.ndarray] = []
-    cameras: list[np.ndarray] = []
+    residuals, cameras = np.full((2, len(OFFSETS), drive.n_frames, 3), np.nan)
     fits = []
-    for offset in OFFSETS:
+    for i, offset in enumerate(OFFSETS):
         sample = steps - offset
         there = (sample >= 0) & (sample < drive.n_frames)
         fit = imu_alignment.fit(steps[there], drive.twists[sample[there]], seen[there], covariance[there])
         fits.append(fit)
-        for arrays, values in ((residuals, fit.measured - fit.predicted), (cameras, fit.camera_variance)):
-            arrays.append(np.full((drive.n_frames, 3), np.nan))
-            arrays[-1][sample[there]] = values[:, 3:]
+        residuals[i, sample[there]] = (fit.measured - fit.predicted)[:, 3:]
+        cameras[i, sample[there]] = fit.camera_variance[:, 3:]
     quietest = min(fits, key=lambda fit: np.log(fit.imu_sigma[3:]).sum())
     noise = quietest.imu_sigma[3:] ** 2
 
     def gain(a, b):
-        """Log likelihood of offset b less that of a, over the IMU samples that both have a step for.
-
-        Over the same samples, because the noise (and the bends) of those that only one has would count for much.
-        """
+        """Log likelihood of offset b less that of a, over the samples of both: those of one alone would weigh much."""
         variance = noise + (cameras[a] + cameras[b]) / 2
         cost_a, cost_b = (np.minimum(residuals[i] ** 2 / variance, imu_alignment.CUT**2) for i in (a, b))
         return 0.5 * np.nansum(cost_a - cost_b)
 
-    best = int(np.flatnonzero(OFFSETS == 0)[0])
+    best = int(np.searchsorted(OFFSETS, 0))
     for _ in range(len(OFFSETS)):
         log_likelihood = np.array([gain(best, i) for i in range(len(OFFSETS))])
         if log_likelihood.max() <= 0:

@@ -22,7 +22,6 @@ from . import (
     imu_timing,
     innovations,
     measured_noise,
-    strides,
     track_checks,
     track_health,
     visual_odometry,
@@ -56,14 +55,14 @@ def _judge(drive: Drive) -> Report:
     facts = track_checks.facts(drive, cured, motions) | calibration_checks.facts(agreeing, *halves)
     unjudged = ""
     try:
-        every, timing = strides.stride(cured, motions), None
+        every, timing = visual_odometry.stride(cured, motions), None
         if every == 1:
             timing = imu_timing.estimate(cured, motions)
             findings += imu_checks.mistimed(cured, timing)
         else:
             unjudged = f"IMU timing (tracks move enough over {every} frames only)"
         in_time = _apply(drive, findings)
-        compared = strides.thin(in_time, every)
+        compared = visual_odometry.thin(in_time, every)
         seen = visual_odometry.estimate(compared) if every > 1 else motions
         alignment = imu_alignment.align(compared, seen)
         signs = imu_alignment.correlation_by_extrinsics(compared, seen)

@@ -23,17 +23,14 @@ def copy_steps(drive) -> np.ndarray:
 def copied(drive) -> np.ndarray:
     """(N,) bool: observations that are copies of the frame before (`copy_steps`)."""
     step, _, after = visual_odometry.pairs(drive)
-    result = np.zeros(len(drive.landmark), bool)
-    result[after[copy_steps(drive)[step]]] = True
-    return result
+    return np.isin(np.arange(len(drive.landmark)), after[copy_steps(drive)[step]])
 
 
 def frozen(drive) -> np.ndarray:
     """(N,) bool: observations with exactly the pixels of the frame before, although other tracks moved."""
     _, before, after = visual_odometry.pairs(drive)
-    result = np.zeros(len(drive.landmark), bool)
-    result[after[(drive.pixels[before] == drive.pixels[after]).all(axis=1)]] = True
-    return result & ~copied(drive)
+    same = (drive.pixels[before] == drive.pixels[after]).all(axis=1)
+    return np.isin(np.arange(len(drive.landmark)), after[same]) & ~copied(drive)
 
 
 def disparity(drive) -> np.ndarray:

@@ -18,6 +18,7 @@ import numpy as np
 from scipy.special import chdtr, chdtri
 
 from .. import se3
+from ..drive import Drive
 from ..stereo import ROW_VARIANCE, reduce_rows
 
 MIN_TRACKS = 8  # inlier tracks; below, six numbers from noisy pairs are not worth having
@@ -25,6 +26,8 @@ INLIER_PROBABILITY = 0.999  # of a correct pair to be taken for one
 INLIER_D2 = chdtri(3, 1 - INLIER_PROBABILITY)  # squared distance that it corresponds to
 _ROBUST_ROUNDS, _ITERATIONS = 3, 3  # the noise carried along changes slowly, once per round is enough
 _TINY_PX = 1e-9
+ENOUGH = 10.0  # times the pixel noise, median motion of the tracks over a step that is to be compared with the IMU
+_LEAST_STEPS, _LEAST_LOOKS = 60, 3  # that are left of the drive and of the median track
 
 
 @dataclass(frozen=True, eq=False)
@@ -226,3 +229,25 @@ class _Problem:
         freedom = 3 * inlier.sum() - 6 * enough.sum()
         kept = chdtr(5, INLIER_D2) / chdtr(3, INLIER_D2)  # E[d2 | d2 < INLIER_D2] / 3 for three degrees of freedom
         return d2[inlier].sum() / max(freedom, 1) / kept
+
+
+def stride(drive: Drive, motions: FrameMotions) -> int:
+    """Over how many frames the tracks of a slow drive move by much more than their noise."""
+    flow = np.linalg.norm((drive.pixels[motions.after] - drive.pixels[motions.before])[:, :2], axis=1)
+    if not len(flow):
+        return 1
+    wanted = np.ceil(ENOUGH * motions.sigma_px / max(np.median(flow), 1e-9))
+    length = np.median(drive.last_seen - drive.first_seen + 1)
+    return int(np.clip(min(wanted, drive.n_frames // _LEAST_STEPS, length // _LEAST_LOOKS), 1, None))
+
+
+def thin(drive: Drive, every: int) -> Drive:
+    """Every so many frames of a drive, its IMU samples the constant twists that lead from one to the next."""
+    if every == 1:
+        return drive
+    poses = se3.chain(np.eye(4), se3.exp(drive.step_twists * drive.taus[:, None]))
+    kept, times, seen = poses[::every], drive.times[::every], drive.frame % every == 0
+    twists = se3.log(se3.inverse(kept[:-1]) @ kept[1:]) / np.diff(times)[:, None]
+    return Drive(times=times, twists=np.vstack([twists, twists[-1:]]), camera=drive.camera, imu_sample="k",
+                 frame_start=np.r_[0, np.cumsum(drive.visible[::every])], landmark=drive.landmark[seen],
+                 pixels=drive.pixels[seen], n_landmarks=drive.n_landmarks)

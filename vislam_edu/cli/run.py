@@ -180,7 +180,7 @@ def run(arguments):
 
     from .. import window_slam
     from ..drive import DriveError
-    from ..studies import breakdown, pipeline
+    from ..studies import pipeline, run_warnings
     from . import outputs
 
     if (arguments.causal or arguments.force) and not arguments.audit:
@@ -208,10 +208,10 @@ def run(arguments):
                     progress=partial(tqdm, disable=arguments.quiet), **options)
         except LinAlgError as error:
             raise DriveError(f"{arguments.recording}: the filter broke down ({error}), "
-                             f"{breakdown.likely_reason(drive, noise)}") from None
-        if unusable := breakdown.unusable(result):
+                             f"{run_warnings.likely_reason(drive, noise)}") from None
+        if unusable := run_warnings.unusable(result):
             raise DriveError(f"{arguments.recording}: not finite, or with a covariance that is not positive definite: "
-                             f"{', '.join(unusable)}; {breakdown.likely_reason(drive, noise)}")
+                             f"{', '.join(unusable)}; {run_warnings.likely_reason(drive, noise)}")
         smoothed = None
         if problem:
             problem = dataclasses.replace(problem, drive=result.drive)  # whose truth may be in another world by now

@@ -7,6 +7,8 @@ the IMU explains best how the tracks move.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from .. import lens, se3
@@ -23,14 +25,6 @@ _STRIDE = 0.3  # s over which tracks are followed, so that a slow robot's motion
 _LOOKS, _MIN_PAIRS = 200, 50  # strides looked at; fewer pairs of observations than this tell nothing
 
 
-def imu_T_cameras(reading: str, left: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """Poses (2, 4, 4) of the left and right optical frames in the IMU frame, by one of `READINGS`."""
-    both = np.stack([left, right])
-    if reading.endswith("_T_imu"):
-        both = se3.inverse(both)
-    return both @ REGULAR_T_OPTICAL if "regular" in reading else both
-
-
 def mounted(drive: Drive, K_right: np.ndarray, left: np.ndarray, right: np.ndarray, forced: str | None = None) -> Drive:
     """The drive with both cameras where the extrinsics put them, its pixels rectified where they are not yet.
 
@@ -40,37 +34,40 @@ def mounted(drive: Drive, K_right: np.ndarray, left: np.ndarray, right: np.ndarr
     """
     if forced is not None and forced not in READINGS:
         raise DriveError(f"extrinsics: {forced!r}, expected one of {', '.join(READINGS)}")
-    cameras = {reading: imu_T_cameras(reading, left, right) for reading in ([forced] if forced else READINGS)}
-    left_T_right = {reading: se3.inverse(pair[0]) @ pair[1] for reading, pair in cameras.items()}
-    fitting = [reading for reading, T in left_T_right.items() if _beside(T)]
-    if not fitting:
-        where = "; ".join(f"{reading}: {T[:3, 3].round(3).tolist()} m, turned by {_angle(T):.1f} degrees"
-                          for reading, T in left_T_right.items())
-        raise DriveError("extL_T_imu, extR_T_imu: no reading puts the right camera on the left one's +x axis and "
-                         f"parallel to it ({where}); are left and right swapped?")
-    made = {reading: _with_camera(drive, K_right, cameras[reading][0], left_T_right[reading]) for reading in fitting}
+    made = {reading: _with_camera(drive, K_right, *cameras)
+            for reading, cameras in fitting(left, right, [forced] if forced else READINGS).items()}
     errors = {reading: prediction_error(one) for reading, one in made.items()}
-    best = min(fitting, key=lambda reading: np.nan_to_num(errors[reading][0], nan=np.inf))
+    best = min(made, key=lambda reading: np.nan_to_num(errors[reading][0], nan=np.inf))
     moved, still = errors[best]
     if not forced and moved > 1.5 * still:
         raise DriveError(f"extL_T_imu, extR_T_imu: read as {best}, the only way to put the right camera on the left "
                          f"one's +x axis, tracks move as if the IMU were wrong ({moved:.1f} px off in {_STRIDE} s, "
                          f"{still:.1f} px without motion); swapped cameras? --extrinsics {best} reads it all the same")
     why = ("as asked for" if forced else "the only reading with the right camera on the left one's +x axis"
-           if len(fitting) == 1 else f"of {' and '.join(fitting)} the one that moves tracks best")
+           if len(made) == 1 else f"of {' and '.join(made)} the one that moves tracks best")
     if np.isfinite(moved):
         why += f"; the IMU moves tracks to within {moved:.1f} px in {_STRIDE} s, no motion to {still:.1f} px"
     drive = made[best]
     return drive.replace(history=(f"extrinsics read as {best}: {why}", *drive.history))
 
 
-def first_that_fits(left: np.ndarray, right: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """imu_T_left and left_T_right by the first reading that puts the right camera on the left one's +x axis."""
-    for reading in READINGS:
-        imu_T_left, imu_T_right = imu_T_cameras(reading, left, right)
-        if _beside(se3.inverse(imu_T_left) @ imu_T_right):
-            return imu_T_left, se3.inverse(imu_T_left) @ imu_T_right
-    raise DriveError("extL_T_imu, extR_T_imu: no reading puts the right camera on the left one's +x axis")
+def fitting(left: np.ndarray, right: np.ndarray, readings: Sequence[str] = READINGS
+            ) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """imu_T_left and left_T_right by each reading that puts the right camera on the left one's +x axis.
+
+    Raises DriveError where none does.
+    """
+    both = {}
+    for reading in readings:
+        imu_T_eyes = se3.inverse([left, right]) if reading.endswith("_T_imu") else np.stack([left, right])
+        imu_T_left, imu_T_right = imu_T_eyes @ REGULAR_T_OPTICAL if "regular" in reading else imu_T_eyes
+        both[reading] = imu_T_left, se3.inverse(imu_T_left) @ imu_T_right
+    if found := {reading: pair for reading, pair in both.items() if _beside(pair[1])}:
+        return found
+    where = "; ".join(f"{reading}: {T[:3, 3].round(3).tolist()} m, turned by {_angle(T):.1f} degrees"
+                      for reading, (_, T) in both.items())
+    raise DriveError("extL_T_imu, extR_T_imu: no reading puts the right camera on the left one's +x axis and "
+                     f"parallel to it ({where}); are left and right swapped?")
 
 
 def prediction_error(drive: Drive) -> tuple[float, float]:

@@ -14,8 +14,9 @@ import platform
 import shutil
 import warnings
 import zipfile
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
+from functools import partial
 from math import prod
 from pathlib import Path
 from typing import BinaryIO
@@ -47,7 +48,7 @@ def _kind(dtype: np.dtype) -> str:
 
 
 class Fields:
-    """The arrays of a file by key, each error naming the key."""
+    """The arrays of a file by key, each error naming the key. mapping : of keys to what is there or what finds it."""
 
     def __init__(self, mapping):
         self._mapping = mapping
@@ -109,7 +110,8 @@ class Fields:
 
     def _stored(self, name):
         with errors_name_field(name):
-            return self._mapping[name]
+            value = self._mapping[name]
+            return value() if isinstance(value, partial) else value
 
     def _read(self, name):
         value = self._stored(name)
@@ -174,47 +176,37 @@ def fields_of(file: BinaryIO) -> Fields:
         if start.startswith(first):
             raise DriveError(f"is {what}")
     try:
-        return Fields(_Members(zipfile.ZipFile(file)))
+        return Fields(_members(zipfile.ZipFile(file)))
     except DriveError:
         raise
     except Exception:  # a damaged archive can raise anything
         raise DriveError("neither an npz nor a npy file, or cut short") from None
 
 
-class _Members(Mapping):
-    """The arrays of an npz by key. What a member claims to hold is checked before memory is taken for it."""
+def _members(archive: zipfile.ZipFile) -> dict[str, Callable[[], StoredArray]]:
+    """What finds each array of an npz, by key. Raises DriveError where all together are too large."""
+    infos = {info.filename.removesuffix(".npy"): info for info in archive.infolist()}
+    size = sum(info.file_size for info in infos.values())
+    if size > LARGEST:
+        raise DriveError(f"its arrays take {size / 2**30:.1f} GB, more than the {LARGEST / 2**30:g} GB that a "
+                         "recording may have")
+    return {name: partial(_member, archive, info) for name, info in infos.items()}
 
-    def __init__(self, archive: zipfile.ZipFile) -> None:
-        self.archive = archive
-        self.infos = {info.filename.removesuffix(".npy"): info for info in archive.infolist()}
-        size = sum(info.file_size for info in self.infos.values())
-        if size > LARGEST:
-            raise DriveError(f"its arrays take {size / 2**30:.1f} GB, more than the {LARGEST / 2**30:g} GB that a "
-                             "recording may have")
 
-    def __contains__(self, name: object) -> bool:
-        return name in self.infos
+def _member(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> StoredArray:
+    """An array of an npz. What it claims to hold is checked before memory is taken for it."""
+    with archive.open(info) as member:
+        shape, fortran, dtype = npy_header(member)
+        start = member.tell()
+    if dtype.kind not in "fiubUS" or not 0 <= prod(shape) * dtype.itemsize <= info.file_size:
+        raise DriveError(f"holds {_kind(dtype)} of shape {shape} in {info.file_size} bytes, expected an array of "
+                         "numbers")
 
-    def __iter__(self):
-        return iter(self.infos)
-
-    def __len__(self) -> int:
-        return len(self.infos)
-
-    def __getitem__(self, name: str) -> StoredArray:
-        info = self.infos[name]
-        with self.archive.open(info) as member:
-            shape, fortran, dtype = npy_header(member)
-            start = member.tell()
-        if dtype.kind not in "fiubUS" or not 0 <= prod(shape) * dtype.itemsize <= info.file_size:
-            raise DriveError(f"holds {_kind(dtype)} of shape {shape} in {info.file_size} bytes, expected an array of "
-                             "numbers")
-
-        def pieces() -> Iterator[np.ndarray]:
-            with self.archive.open(info) as member:
-                member.read(start)
-                yield from unpickling.numbers(member, dtype, prod(shape))
-        return StoredArray(shape, fortran, dtype, pieces)
+    def pieces() -> Iterator[np.ndarray]:
+        with archive.open(info) as member:
+            member.read(start)
+            yield from unpickling.numbers(member, dtype, prod(shape))
+    return StoredArray(shape, fortran, dtype, pieces)
 
 
 def npy_header(file) -> tuple[tuple[int, ...], bool, np.dtype]:

@@ -156,7 +156,7 @@ def _course_calibration(path: Path) -> tuple[lens.Rig, Callable[..., Drive]]:
             rig = lens.Rig(lens.Lens(camera.K), lens.Lens(camera.K), camera)
             return rig, _maker(rig, "tracked from images")
         K, K_right, left, right = (fields.numbers(key) for key in ("K_l", "K_r", "extL_T_imu", "extR_T_imu"))
-    imu_T_left, left_T_right = extrinsics.first_that_fits(left, right)
+    imu_T_left, left_T_right = next(iter(extrinsics.fitting(left, right).values()))
     rig = lens.rectified(K, K_right, left_T_right, se3.inverse(imu_T_left))
 
     def make(frames, times, twists, **more) -> Drive:

@@ -296,10 +296,7 @@ def _tum_poses(rows, drive):
     times = drive.times
     if rows[-1, 0] < times[0] or rows[0, 0] > times[-1]:
         times = times - times[0]
-    after = np.searchsorted(rows[:, 0], times).clip(1, max(1, len(rows) - 1))
-    before = after - 1
-    after = np.minimum(after, len(rows) - 1)
-    nearest = np.where(times - rows[before, 0] <= rows[after, 0] - times, before, after)
+    nearest = np.interp(times, rows[:, 0], np.arange(len(rows))).round().astype(int)
     half_frame = np.median(drive.taus) / 2 if drive.n_frames > 1 else 0.0
     matched = np.abs(rows[nearest, 0] - times) <= half_frame
     if not matched.any():

@@ -21,7 +21,7 @@ from ..stereo import StereoCamera
 from . import faults, streets
 
 __all__ = ["IMAGE_SIZE", "add_noise", "along", "first_steps", "kitti_camera", "perfect_street_loop", "places",
-           "returning_loop", "street_loop", "street_loop_data"]
+           "returning_loop", "street_loop"]
 
 IMAGE_SIZE = (1241, 376)  # px, width and height
 SHORTEST_LOOP = 400.0  # m, unless asked for
@@ -204,11 +204,6 @@ def street_loop(seed=0, *, frames=500, sigma_v=0.5, sigma_omega=0.05, sigma_px=0
     return add_noise(drive, seed, sigma_v=sigma_v, sigma_omega=sigma_omega, sigma_px=sigma_px, gyro_bias=gyro_bias)
 
 
-def street_loop_data():
-    """The drive in data/street_loop.npz: 500 frames once around, seed 0, all arguments at their defaults."""
-    return street_loop(seed=0)
-
-
 def first_steps():
     """The drive in data/first_steps.npz: 60 frames into a corner, 42 landmarks, few enough to watch each."""
     return street_loop(seed=0, frames=60, speed=7.0, loop_length=500.0, visible=14, life=(9, 100), mean_life=100.0,
@@ -238,9 +233,9 @@ def places(drive):
 
 
 def write(directory="data"):
-    """Write both drives into the directory and return their paths."""
+    """Write both drives, the street loop with all arguments at their defaults, and return their paths."""
     Path(directory).mkdir(parents=True, exist_ok=True)
-    made = {Path(directory, "street_loop.npz"): street_loop_data(), Path(directory, "first_steps.npz"): first_steps()}
+    made = {Path(directory, "street_loop.npz"): street_loop(), Path(directory, "first_steps.npz"): first_steps()}
     for path, drive in made.items():
         recordings.save(drive, path)
     return list(made)

@@ -42,8 +42,7 @@ class SmoothPath:
         return self._position(times, nu=1)
 
 
-def perfect_samples(path: SmoothPath, times: np.ndarray,
-                    gravity: np.ndarray = GRAVITY) -> tuple[np.ndarray, np.ndarray]:
+def perfect_samples(path: SmoothPath, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Gyro (n, 3) rad/s and accelerometer (n, 3) m/s^2 between the times (n+1,), s: means over each interval.
 
     `imu.propagate` follows them from rotation to rotation and from velocity to velocity without error.
@@ -52,7 +51,7 @@ def perfect_samples(path: SmoothPath, times: np.ndarray,
     R = path.poses(times)[:, :3, :3]
     gyro = se3.so3_log(R[:-1].mT @ R[1:]) / taus
     halfway = R[:-1] @ se3.so3_exp(taus * gyro / 2)
-    return gyro, np.vecmat(np.diff(path.velocities(times), axis=0) / taus - gravity, halfway)
+    return gyro, np.vecmat(np.diff(path.velocities(times), axis=0) / taus - GRAVITY, halfway)
 
 
 def measure(path: SmoothPath, times: np.ndarray, noise: ImuNoise = ADIS16448, seed: int = 0,
@@ -98,7 +97,7 @@ def inertial_loop(seed: int = 0, *, frames: int = 500, tau: float = 0.1, still: 
     return drive, path.velocities(times), walk[np.searchsorted(imu_times, times - 1e-9)]
 
 
-def _pull_away(t: np.ndarray, ramp: float = 4.0) -> np.ndarray:
-    """Seconds on the road: none before t = 0, then a pace that rises smoothly to one within `ramp` s."""
-    u = np.clip(t / ramp, 0, 1)
-    return ramp * (u**3 - u**4 / 2) + np.maximum(t - ramp, 0)
+def _pull_away(t: np.ndarray) -> np.ndarray:
+    """Seconds on the road: none before t = 0, then a pace that rises smoothly to one within 4 s."""
+    u = np.clip(t / 4, 0, 1)
+    return 4 * (u**3 - u**4 / 2) + np.maximum(t - 4, 0)

@@ -19,7 +19,7 @@ from ..error_state import RightPerturbation, world_landmark_covariance
 from ..mapping import MapBelief
 from ..noise import Noise
 from ..odometry import Trajectory
-from . import calibration, run_warnings, scale
+from . import calibration, run_warnings
 from .runs import Run, record, truth_beside
 
 
@@ -141,16 +141,17 @@ def batch_of_real_drive(drive, noise, scale_sigma=0.0) -> batch.Problem:
     return batch.Problem(drive, noise, walk_sigma=(0.1, 0.015), imu_sigma=imu_sigma, loss=batch.cauchy)
 
 
-def joint(drive, noise, error_state, *, metre=scale.of_the_cameras, method="slam", progress=no_progress,
+def joint(drive, noise, error_state, *, metre=None, method="slam", progress=no_progress,
           **options) -> Slam:
     """The joint filter over a drive, in the metre asked for.
 
-    metre : `scale.of_the_cameras`, as the filter has it, or `scale.of_the_imu`. method : key of `style.COLOURS` that it
+    metre : None, the filter's, which is the cameras', or `scale.of_the_imu`. method : key of `style.COLOURS` that it
     is drawn with. progress : as for `run_pipeline`. options : further ones of `window_slam.run`.
     """
     steps = window_slam.run(drive, noise, error_state, **options)
     frames = progress(steps, total=drive.n_frames, desc="SLAM", unit="frame")
-    return metre(collect_slam(drive, frames, error_state, method), drive, noise)
+    slam = collect_slam(drive, frames, error_state, method)
+    return metre(slam, drive, noise) if metre else slam
 
 
 def joint_path(drive, noise, error_state, **options) -> np.ndarray:

@@ -33,11 +33,6 @@ def running(world_T_imu, drive, sigma_v):
     return np.concatenate([[1.0], both / path])
 
 
-def of_the_cameras(slam, drive, noise):
-    """A `pipeline.Slam` as it is: the filter's lengths are the cameras'."""
-    return slam
-
-
 def of_the_imu(slam, drive, noise):
     """A `pipeline.Slam` in the metre of the IMU's speed. drive : Drive. noise : Noise, its sigma_v of one sample."""
     return rescaled(slam, drive, running(slam.trajectory.world_T_imu, drive, noise.sigma_v))

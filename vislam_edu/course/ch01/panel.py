@@ -148,7 +148,6 @@ class TwistPicture(Picture):
         super().__init__()
 
     def build(self):
-        """The view in space on the left, the view from above on the right."""
         self.space = add_axes(self, (0.01, 0.06, 0.48, 0.72), "In space: the frame along its screw", xticks=[],
                               yticks=[], aspect="equal", adjustable="box")
         self.space.grid(False)
@@ -218,7 +217,6 @@ class TwistPicture(Picture):
         self.frame(self.above, outcome.centre[:2], 0.78 * outcome.reach)
 
     def caption(self, **state):
-        """How far Euler is off, and how much of the cloud each outline holds."""
         outcome = self.outcome(**state)
         end = outcome.euler[-1]
         off = np.linalg.norm(end[:3, 3] - se3.exp(outcome.duration * outcome.twist)[:3, 3])
@@ -230,7 +228,6 @@ class TwistPicture(Picture):
                 f"in x and y {100 * held[1]:.0f} %.")
 
     def alt(self, **state):
-        """The picture in words."""
         return ("A frame moving along its screw axis in space, with Euler's polygon beside it; from above, a cloud of "
                 "noisy end positions, a curved 95 % outline from exponential coordinates and a straight 95 % ellipse. "
                 + self.caption(**state))

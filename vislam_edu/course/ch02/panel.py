@@ -49,7 +49,6 @@ class StereoDepthPicture(Picture):
         super().__init__()
 
     def build(self):
-        """Images above, the cloud from above and the law of depth below."""
         self.images = [self._build_image(side, left) for side, left in (("Left", 0.06), ("Right", 0.56))]
         self.above = add_axes(self, (0.09, 0.11, 0.39, 0.34), "From above, sideways stretched", "forward (m)",
                               "to the right (m)", xlim=(0, 110), ylim=(1.9, -1.9))
@@ -110,7 +109,6 @@ class StereoDepthPicture(Picture):
         return ellipse_points(point[[2, 0]], P[np.ix_([2, 0], [2, 0])])
 
     def caption(self, depth, right, sigma_px):
-        """The numbers of this depth."""
         point, true, _, cloud = self.state_of(depth, right, sigma_px)
         held = Path(self.outline(point, sigma_px)).contains_points(cloud[:, [2, 0]]).mean()
         return (f"Depth {depth:.1f} m, disparity {true[0] - true[2]:.1f} px: the depth is known to "
@@ -118,7 +116,6 @@ class StereoDepthPicture(Picture):
                 f"within ± {inner_spread(cloud[:, 2]):.2f} m, the 95 % ellipse holds {held:.0%} of it.")
 
     def alt(self, **state):
-        """The picture in words."""
         return ("Both images of a point with its magnified pixel noise; from above the cloud of triangulated points, "
                 "drawn out along the line of sight, with its 95 % ellipse; below it the standard deviation of depth, "
                 "growing with the square of depth. " + self.caption(**state))

@@ -36,7 +36,6 @@ class TwoGaussiansPicture(Picture):
     controls = CONTROLS
 
     def build(self):
-        """The densities above, the informations below."""
         self.densities = add_axes(self, (0.1, 0.44, 0.86, 0.4), "Where is the car?", "position along the road (m)",
                                   "density (1/m)", xlim=(20, 40), ylim=(0, 1.2))
         self.x = np.linspace(20, 40, 600)
@@ -61,13 +60,11 @@ class TwoGaussiansPicture(Picture):
         self.bars["both"].set_data([0, total], [0, 0])
 
     def caption(self, measured, sigma_predicted, sigma_measured):
-        """Gain, mean and standard deviation."""
         gain, mean, sigma = combine(measured, sigma_predicted, sigma_measured)
         return (f"Predicted {PREDICTED:.0f} ± {sigma_predicted:.1f} m, measured {measured:.1f} ± "
                 f"{sigma_measured:.1f} m: gain {gain:.2f}, together {mean:.2f} ± {sigma:.2f} m.")
 
     def alt(self, **state):
-        """The picture in words."""
         return ("Three Gaussian densities along a road: predicted, measured, and both together, narrower than either; "
                 "below, their informations as bars, the first two adding up to the third. " + self.caption(**state))
 
@@ -97,7 +94,6 @@ class RayPicture(Picture):
     controls = RAY_CONTROLS
 
     def build(self):
-        """One pair of axes, equal scales."""
         self.axes = add_axes(self, (0.1, 0.13, 0.87, 0.7), "Where is the landmark?", "x (m)", "y (m)")
         fit_equal(self.axes, np.array([[-5.0, -4.0], [5.0, 4.0]]), margin=0.0)
         self.band = self.moves(*self.axes.fill([], [], color=COLOURS["measured"], alpha=0.4, lw=0,
@@ -118,13 +114,11 @@ class RayPicture(Picture):
         self.move.set_data([0, mean[0]], [0, mean[1]])
 
     def caption(self, bearing, sigma):
-        """Gain, and the standard deviations along and across the ray, before and after."""
         gain, _, covariance = ray_update(bearing, sigma)
         lengths = [np.sqrt(d @ P @ d) for d in directions(bearing) for P in (PRIOR, covariance)]
         return ("Gain ({:.2f}, {:.2f}). Standard deviation along the ray {:.2f} → {:.2f} m, across {:.2f} → {:.2f} m."
                 .format(*gain, *lengths))
 
     def alt(self, **state):
-        """The picture in words."""
         return ("A tilted ellipse of the prediction, a straight band of the measurement, and the smaller ellipse of "
                 f"both where they overlap. {self.caption(**state)}")

@@ -1,6 +1,6 @@
 """Chapter 06: the filter run again for other W, V and Sigma_0, and what its errors and innovations say to that."""
 
-from dataclasses import dataclass
+from functools import cache, partial
 
 import numpy as np
 from matplotlib.collections import PolyCollection
@@ -29,51 +29,34 @@ CONTROLS: dict[str, Number | Switch] = {
 }
 
 
-@dataclass(frozen=True, eq=False)
 class FilterRun:
-    """One run of the joint filter over T frames, held against the truth.
+    """The joint filter without a gate over T frames, run with one setting of `CONTROLS` and held against the truth.
 
-    world_T_imu : (T, 4, 4). error, sigma : (T, 6), of the pose as a right perturbation, m and rad.
-    ground : (T, 2, 2) m^2, covariance of the position seen from above.
+    drive : Drive with truth. begin : (4, 4), where the filter believes to start. noise : Noise, whose initial
+    covariance is multiplied by start**2.
+
+    world_T_imu : (T, 4, 4). error, sigma : (T, 6), of the pose as a right perturbation, m and rad. final_error : m,
+    distance from the truth at the end. ground : (T, 2, 2) m^2, covariance of the position seen from above.
     nees : (T,) of the pose, 6 degrees of freedom. nis : (T,) of a frame, divided by its degrees of freedom;
     NaN where nothing was predicted. measurement_nis : mean NIS of one stereo measurement, 4 if all is right.
     """
 
-    world_T_imu: np.ndarray
-    error: np.ndarray
-    sigma: np.ndarray
-    ground: np.ndarray
-    nees: np.ndarray
-    nis: np.ndarray
-    measurement_nis: float
-
-    @property
-    def final_error(self) -> float:
-        """Distance, m, from the truth at the end."""
-        return float(np.linalg.norm(self.error[-1, :3]))
-
-
-def filtered(drive, world_T_imu, noise, sigma_v=_TRUE.sigma_v, sigma_omega=_TRUE.sigma_omega, sigma_px=_TRUE.sigma_px,
-             start=1.0, report_birth=False, invariant=False) -> FilterRun:
-    """The joint filter without a gate, run with one setting of `CONTROLS`.
-
-    drive : Drive with truth. world_T_imu : (4, 4), where it believes to start. noise : Noise, whose initial covariance
-    is multiplied by start**2.
-    """
-    believed = Noise(sigma_v, sigma_omega, sigma_px, start**2 * noise.initial_pose_covariance, noise.landmark_prior)
-    error_state = RightInvariant() if invariant else RightPerturbation()
-    process_frame = window_slam.as_report if report_birth else window_slam.correlated
-    steps = list(window_slam.run(drive, believed, error_state, process_frame=process_frame, gate=1,
-                                 world_T_imu=world_T_imu))
-    run = record(steps, error_state)
-    poses, right = run.world_T_imu, run.right_covariance
-    R = poses[:, :3, :3]
-    nis, numbers = np.transpose([frame_nis(step, drive, error_state) for step in steps])
-    truth = drive.true_world_T_imu
-    return FilterRun(poses, RightPerturbation().pose_difference(truth, poses),
-                     np.sqrt(np.diagonal(right, axis1=1, axis2=2)),
-                     (R @ right[:, :3, :3] @ R.swapaxes(1, 2))[:, :2, :2], run.nees(truth),
-                     nis / np.where(numbers > 0, numbers, np.nan), run.mean_nis)
+    def __init__(self, drive, begin, noise, sigma_v=_TRUE.sigma_v, sigma_omega=_TRUE.sigma_omega,
+                 sigma_px=_TRUE.sigma_px, start=1.0, report_birth=False, invariant=False):
+        believed = Noise(sigma_v, sigma_omega, sigma_px, start**2 * noise.initial_pose_covariance, noise.landmark_prior)
+        error_state = RightInvariant() if invariant else RightPerturbation()
+        process_frame = window_slam.as_report if report_birth else window_slam.correlated
+        steps = list(window_slam.run(drive, believed, error_state, process_frame=process_frame, gate=1,
+                                     world_T_imu=begin))
+        run, truth = record(steps, error_state), drive.true_world_T_imu
+        P, R = run.right_covariance, run.world_T_imu[:, :3, :3]
+        nis, numbers = np.transpose([frame_nis(step, drive, error_state) for step in steps])
+        self.world_T_imu, self.nees, self.measurement_nis = run.world_T_imu, run.nees(truth), run.mean_nis
+        self.error = RightPerturbation().pose_difference(truth, run.world_T_imu)
+        self.final_error = float(np.linalg.norm(self.error[-1, :3]))
+        self.sigma = np.sqrt(np.diagonal(P, axis1=1, axis2=2))
+        self.ground = (R @ P[:, :3, :3] @ R.swapaxes(1, 2))[:, :2, :2]
+        self.nis = nis / np.where(numbers > 0, numbers, np.nan)
 
 
 class TuningPicture(Picture):
@@ -95,18 +78,14 @@ class TuningPicture(Picture):
         if not drive.has_truth:
             raise ValueError("the tuning picture holds errors against the truth, which this drive has not")
         self.drive, self.world_T_imu, self.noise = drive, np.asarray(world_T_imu), noise or Noise()
-        self._outcomes = {}
+        self._filtered = cache(partial(FilterRun, self.drive, self.world_T_imu, self.noise))
         super().__init__()
 
     def outcome(self, **state) -> FilterRun:
         """The run that the controls stand for, done once and kept. What is not given is as at the start."""
-        key = tuple((self.start | state).values())
-        if key not in self._outcomes:
-            self._outcomes[key] = filtered(self.drive, self.world_T_imu, self.noise, **self.start | state)
-        return self._outcomes[key]
+        return self._filtered(**self.start | state)
 
     def build(self):
-        """Map; below it two errors, the NEES and the NIS."""
         times = self.drive.times - self.drive.times[0]
         self._build_map()
         self.errors = [
@@ -188,7 +167,6 @@ class TuningPicture(Picture):
             self._background = None
 
     def caption(self, **state):
-        """The verdicts on this setting."""
         run = self.outcome(**state)
         low, high = metrics.chi2_band(6, probability=0.95)
         inside = 100 * np.mean((low <= run.nees) & (run.nees <= high))
@@ -198,7 +176,6 @@ class TuningPicture(Picture):
                 f"{two_digits(run.final_error)} m from the truth at the end.")
 
     def alt(self, **state):
-        """The picture in words."""
         run, s = self.outcome(**state), self.start | state
         which = "right-invariant" if s["invariant"] else "right-perturbation"
         birth = "as in the report" if s["report_birth"] else "correlated"

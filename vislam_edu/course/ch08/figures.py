@@ -26,8 +26,7 @@ def sensitivity(arms: dict, title: str) -> Figure:
         for name, rows in settings.items():
             values = [row["drift_percent"] for row in rows]
             y = list(NAMES)[::-1].index(name) + shift
-            axes.plot([min(values), max(values)], [y, y], lw=5, alpha=0.4, color=COLOURS[colour],
-                      solid_capstyle="butt")
+            axes.plot([min(values), max(values)], [y, y], lw=5, alpha=0.4, color=COLOURS[colour], solid_capstyle="butt")
             axes.plot(values, [y] * len(values), marker, ms=5, mew=1.6, color=COLOURS[colour],
                       label=arm if name == "gate" else None)
     axes.set(yticks=range(len(NAMES)), xlabel="KITTI drift (%)", xlim=(0, None))

@@ -1,14 +1,10 @@
 """Chapter 09: the same drive with every landmark, every second, ... every twentieth, filtered anew for each."""
 
-from dataclasses import dataclass
-
 import numpy as np
 from matplotlib.collections import LineCollection
 
 from ... import metrics, plots, window_slam
 from ...error_state import RightInvariant
-from ...mapping import MapBelief
-from ...odometry import Trajectory
 from ...plots.style import COLOURS
 from ...studies import pipeline
 from ...widgets.canvas import Number, Picture
@@ -19,37 +15,22 @@ ELLIPSES = 12  # along the path
 CONTROLS = {"every": Number("keep one in", 10, 1, MOST, 1)}
 
 
-@dataclass(frozen=True, eq=False)
 class Thinned:
-    """What the joint filter makes of every `every`-th landmark.
+    """What the joint filter makes of every `every`-th landmark of a drive with truth.
 
     landmarks : how many are left. visible : of them in view, on average. trajectory : Trajectory. map : MapBelief.
-    error : (T,) m, distance of each position from the true one. claimed : (T,) m, what the filter expects of it,
-    the root of the trace of the position's covariance.
+    error : (T,) m, distance of each position from the true one. rms : m, of it over the drive. claimed : (T,) m, what
+    the filter expects of it, the root of the trace of the position's covariance.
     """
 
-    every: int
-    landmarks: int
-    visible: float
-    trajectory: Trajectory
-    map: MapBelief
-    error: np.ndarray
-    claimed: np.ndarray
-
-    @property
-    def rms(self) -> float:
-        """m, RMS of the position error over the drive."""
-        return float(np.sqrt(np.mean(self.error**2)))
-
-
-def thinned(drive, noise, every, error_state) -> Thinned:
-    """Filter every `every`-th landmark of a drive with truth."""
-    part = drive.subsample(every)
-    run = pipeline.collect_slam(part, window_slam.run(part, noise, error_state), error_state)
-    error = metrics.position_errors(drive.true_world_T_imu, run.trajectory.world_T_imu)
-    claimed = np.sqrt(np.trace(plots.position_covariance(run.trajectory), axis1=1, axis2=2))
-    visible = float(part.visible.mean())
-    return Thinned(every, part.n_landmarks, visible, run.trajectory, run.map, error, claimed)
+    def __init__(self, drive, noise, every, error_state):
+        part = drive.subsample(every)
+        run = pipeline.collect_slam(part, window_slam.run(part, noise, error_state), error_state)
+        self.landmarks, self.visible = part.n_landmarks, part.visible.mean()
+        self.trajectory, self.map = run.trajectory, run.map
+        self.error = metrics.position_errors(drive.true_world_T_imu, run.trajectory.world_T_imu)
+        self.rms = float(np.sqrt(np.mean(self.error**2)))
+        self.claimed = np.sqrt(np.trace(plots.position_covariance(run.trajectory), axis1=1, axis2=2))
 
 
 class SubsamplingPicture(Picture):
@@ -73,11 +54,10 @@ class SubsamplingPicture(Picture):
     def run(self, every) -> Thinned:
         """The filter's result for every `every`-th landmark, computed once."""
         if every not in self.tried:
-            self.tried[every] = thinned(self.drive, self.noise, every, self.error_state)
+            self.tried[every] = Thinned(self.drive, self.noise, every, self.error_state)
         return self.tried[every]
 
     def build(self):
-        """The map above; below it error through time, and error against share."""
         path, blue = self.drive.true_world_T_imu[:, :2, 3], COLOURS["invariant"]
         self.map = add_axes(self, (0.1, 0.42, 0.88, 0.54), "Map from above", "x (m)", "y (m)")
         (truth,) = self.map.plot(*path.T, "-", lw=1.6, color=COLOURS["truth"], label="true path")
@@ -120,13 +100,11 @@ class SubsamplingPicture(Picture):
         self.this.set_data([every], [run.rms])
 
     def caption(self, every):
-        """How much is left, and how good it is."""
         run = self.run(every)
         return (f"{run.landmarks} of {self.drive.n_landmarks} landmarks, {run.visible:.0f} in view on average: "
                 f"{run.rms:.2g} m RMS; at the end {run.error[-1]:.2g} m, claimed {run.claimed[-1]:.2g} m.")
 
     def alt(self, every):
-        """The picture in words."""
         run = self.run(every)
         return (f"Map from above: true path in black, estimated path with 95 % ellipses from {run.landmarks} "
                 f"landmarks, one in {every}; its position error through time against what the filter claims, "

@@ -74,7 +74,6 @@ class MuseumPicture(Picture):
         super().__init__()
 
     def build(self):
-        """The map and the error above, NIS and NEES through time below."""
         right, times = self.visits[0], self.drive.times - self.drive.times[0]
         x0, x1, y0, y1 = view(self.drive)
         self.map = add_axes(self, (0.1, 0.54, 0.38, 0.35), "From above", "x (m)", "y (m)", aspect="equal",
@@ -114,13 +113,11 @@ class MuseumPicture(Picture):
             line.set_data(self.times[:len(values)], values)
 
     def caption(self, piece):
-        """The mistake, and its three numbers beside the right ones."""
         visit, right = self._visit(piece), self.visits[0]
         stopped = "" if visit.run.stopped is None else " It could not go on to the end."
         return (f"{visit.title}: position RMSE {visit.numbers[0]} (right filter {right.numbers[0]}), mean NIS "
                 f"{visit.numbers[1]} ({right.numbers[1]}), mean NEES {visit.numbers[2]} ({right.numbers[2]}).{stopped}")
 
     def alt(self, piece):
-        """The picture in words."""
         return (f"Paths from above: the truth, the right filter and the one with the mistake '{piece}'; "
                 f"through time, their distance from the truth, NIS and NEES. {self.caption(piece)}")

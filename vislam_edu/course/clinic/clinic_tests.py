@@ -87,10 +87,10 @@ def steps(build: Build, drive: Drive, seed: int, gate: float = 1, world_T_start:
                            process_frame=build.process_frame, gate=gate, world_T_imu=start)
 
 
-def driven(build: Build, drive: Drive, seed: int, gate: float = 1, world_T_start: np.ndarray | None = None) -> Run:
+def driven(build: Build, drive: Drive, seed: int, world_T_start: np.ndarray | None = None) -> Run:
     """Run a patient; one whose numbers cease to be finite, or its covariance positive, is stopped there."""
     with np.errstate(all="ignore"):
-        return attempt(steps(build, drive, seed, gate, world_T_start))
+        return attempt(steps(build, drive, seed, world_T_start=world_T_start))
 
 
 def numbers_of(run: Run, drive: Drive, world_T_start: np.ndarray | None = None) -> Readings:
@@ -422,11 +422,11 @@ def outside(name: str, readings: Readings) -> list[str]:
     return [key for key, value in readings.items() if not bands()[name][key].holds(value)]
 
 
-def write_bands(path: Path = BANDS) -> None:
+def write_bands() -> None:
     """Measure the bands and store them, to six digits."""
     content = {name: {key: [float(f"{band.mean:.6g}"), float(f"{band.sigma:.6g}"), band.runs]
                       for key, band in readings.items()} for name, readings in measure_bands().items()}
-    path.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+    BANDS.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":
