@@ -90,7 +90,7 @@ def prepare(app):
 
 def as_it_is(app, what, name, obj, options, lines):
     """Docstrings are plain text made to be read in an editor: shown as they are, not as reStructuredText."""
-    lines[:] = ["::", "", *(f"    {line}" for line in lines), ""]
+    lines[:] = [".. code-block:: text", "", *(f"    {line}" for line in lines), ""]
 
 
 def setup(app):

@@ -284,9 +284,14 @@ def left_behind(folder: Path, out: Path, printed: str) -> list[str]:
     found = {"results": sorted({path.name for path in out.iterdir()} ^ REPORT),
              "too large": [path for path in folder.rglob("*")
                            if path.is_file() and path.stat().st_size > submission.FILE_SIZE],
-             "still runs": [link for link in Path("/proc").glob("[0-9]*/cwd") if _points_into(link, folder)],
+             "still runs": running_in(folder),
              "printed": [c for c in printed if not (c.isprintable() or c == "\n")]}
     return [f"{what}: {which}" for what, which in found.items() if which]
+
+
+def running_in(folder: Path) -> list[Path]:
+    """Processes that stand in a folder (on Linux)."""
+    return [link for link in Path("/proc").glob("[0-9]*/cwd") if _points_into(link, folder)]
 
 
 def _points_into(link, folder) -> bool:

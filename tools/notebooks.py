@@ -186,7 +186,7 @@ def _run_all(paths):
 def stubs(chapter: int) -> str:
     """The cells of a chapter's exercises as text."""
     chosen = [exercise for exercise in EXERCISES.values() if exercise.chapter == chapter]
-    return "\n\n\n".join(text for exercise in chosen for text in cells.source(exercise))
+    return "\n\n\n".join(cell.source for exercise in chosen for cell in cells.pair(exercise))
 
 
 def refresh(path: Path) -> list[str]:

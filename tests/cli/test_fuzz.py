@@ -6,7 +6,8 @@ import pytest
 
 @pytest.mark.parametrize("kind", fuzz.KINDS)
 def test_what_is_damaged_ends_well_or_in_one_line(kind):
-    found = [fuzz.problem_of(kind, seed) for seed in range(10_000, 10_005 if kind == "study" else 10_012)]
+    few = {"study": 5, "tiny": 2, "names": 2}  # these filter, draw and write
+    found = [fuzz.problem_of(kind, seed) for seed in range(10_000, 10_000 + few.get(kind, 12))]
     assert [problem for problem in found if problem] == []
 
 

@@ -15,7 +15,7 @@ from vislam_edu.error_state import RightInvariant, RightPerturbation
 from vislam_edu.motion import Belief
 from vislam_edu.noise import Noise
 
-SEEDS = few(5, range(20))
+SEEDS = few(8, range(20))
 NOISE = Noise(1.0, 0.1, 0.7 * 2**0.5)  # what `returning_loop` adds
 ERROR_STATES = [RightPerturbation(), RightInvariant()]
 

@@ -180,6 +180,18 @@ def test_real_samples_with_true_biases():
     assert degrees < 0.15
 
 
+def test_the_rule_of_integration_is_of_second_order(monkeypatch):
+    """The force of a sample acts in the attitude halfway: samples cut in two bring a quarter of the error."""
+    monkeypatch.syspath_prepend(Path(__file__).resolve().parents[2] / "benchmarks")
+    import gtsam_imu
+
+    def velocity(parts):
+        return imu.preintegrate(*gtsam_imu.cut(gtsam_imu.tumbling(), parts), np.zeros(3), np.zeros(3)).velocity
+
+    limit = velocity(64)
+    np.testing.assert_allclose(velocity(2) - limit, (velocity(1) - limit) / 4, rtol=0.02)
+
+
 def test_gtsam_joins_the_same_samples_to_the_same_motion(monkeypatch):
     """The two differ by where in a step the force acts, and by nothing else: cut into 16, by a sixteenth."""
     pytest.importorskip("gtsam", reason="the outside reference is an extra: pip install vislam_edu[gtsam]")

@@ -32,9 +32,9 @@ from vislam_edu import (
 )
 from vislam_edu.audit import audit
 from vislam_edu.course.ch01.panel import banana, plane_ellipse
-from vislam_edu.course.ch06.panel import filtered
+from vislam_edu.course.ch06.panel import FilterRun
 from vislam_edu.course.ch08.panel import camera_path
-from vislam_edu.course.ch09.panel import thinned
+from vislam_edu.course.ch09.panel import Thinned
 from vislam_edu.course.ch10 import broken_filters
 from vislam_edu.error_state import RightInvariant, RightPerturbation
 from vislam_edu.noise import Noise
@@ -90,7 +90,7 @@ def short(seed, frames=60, visible=15):
 @cache
 def tuned(seed, **setting):
     """One setting of chapter 06."""
-    return filtered(*short(seed), NOISE, **setting)
+    return FilterRun(*short(seed), NOISE, **setting)
 
 
 @cache
@@ -743,7 +743,7 @@ def smoothing_does_not_make_honest(seed):
 
 @cache
 def with_one_in(seed, every):
-    return thinned(street(seed), NOISE, every, INVARIANT)
+    return Thinned(street(seed), NOISE, every, INVARIANT)
 
 
 @claim("09", "the claim grows about tenfold (9 to 13 times on eight streets like this one)", few=0)

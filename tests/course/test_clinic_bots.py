@@ -10,7 +10,7 @@ from vislam_edu.course.clinic import clinic, clinic_tests
 from vislam_edu.course.clinic.clinic_tests import TESTS, bands, read
 from vislam_edu.course.clinic.patients import FAULTS, HEALTHY, KINDS, Build
 
-PATIENTS = few(5, [(student, number) for student in range(3) for number in range(1, 9)])  # 24
+PATIENTS = few(8, [(student, number) for student in range(3) for number in range(1, 9)])  # 24
 
 
 # --- bots -------------------------------------------------------------------------------------------------------

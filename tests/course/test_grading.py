@@ -9,6 +9,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import hostile
 import pytest
@@ -17,15 +18,14 @@ from hostile import RIGHT_HAT, notebook
 from vislam_edu import cli
 from vislam_edu.course.checks.verdict import RIGHT, WRONG
 from vislam_edu.course.exercises import EXERCISES
-from vislam_edu.course.grading import cells, collecting, grading, report, sandbox
+from vislam_edu.course.grading import collecting, grading, report, sandbox
 
 posix = pytest.mark.skipif(os.name != "posix", reason="process groups and limits are those of POSIX")
 
 # Some of each kind; `python tests/hostile.py` puts all of them, the weekly workflow too.
 HAND_IN = [
-    "forges the record", "replaces json", "no inputs", "a pipe for a record", "a large record", "takes memory",
-    "writes much", "prints much", "a large integer", "a result that exits", "leaves a daemon", "ends its parent",
-    "ends itself", "exits", "leaves a thread", "an error without words", "a row of signs", "a surrogate in a cell",
+    "forges the record", "a pipe for a record", "takes memory", "writes much", "a large integer", "a result that exits",
+    "leaves a daemon", "ends its parent", "ends itself", "a row of signs", "a surrogate in a cell",
     "shadows with a folder", "\x1b[31mred", "=HYPERLINK(\"x\")", "is a pipe", "is a device", "leads nowhere", "nested"]
 
 
@@ -108,13 +108,17 @@ def test_markup_in_feedback_is_text():
 # --- one at a time ----------------------------------------------------------------------------------------
 
 
-def test_a_notebook_that_never_ends_is_stopped_with_its_children(tmp_path):
-    code = ("import subprocess, sys, time\nsubprocess.Popen([sys.executable, '-c', 'import time; time.sleep(1000)'])\n"
-            "while True:\n    try:\n        time.sleep(1)\n    except BaseException: pass")
+def test_a_notebook_that_never_ends_is_stopped_with_its_children(tmp_path, monkeypatch):
+    code = ("import subprocess, sys\nsubprocess.Popen([sys.executable, '-c', 'import time; time.sleep(1000)'])\n"
+            "open('child', 'w')\n" + hostile.STUBBORN)
     path = notebook(tmp_path, [RIGHT_HAT, code])
-    found = grading.grade(grading.read(path, "a"), limit=15)
-    assert found.problem == "stopped after 15 s"
+    # The limit is over once the child is there, however long the machine takes for that.
+    monkeypatch.setattr(grading, "time", SimpleNamespace(
+        monotonic=lambda: time.monotonic() + 1000 * bool((tmp_path / "child").exists())))
+    found = grading.grade(grading.read(path, "a"), limit=900)
+    assert found.problem == "stopped after 900 s"
     assert found.results[0] == grading.Result("so3_hat", RIGHT, "", found.results[0].detail)
+    assert hostile.running_in(tmp_path) == []
 
 
 def test_a_broken_cell_costs_only_its_own_exercise_and_secrets_stay_out(tmp_path, monkeypatch):
@@ -133,7 +137,7 @@ def test_a_deleted_check_is_missing_also_where_all_were_deleted(tmp_path):
     path = notebook(tmp_path, ["pass"], "03_landmark_ekf.ipynb")
     assert [(r.exercise, r.status) for r in grading.grade(grading.read(path, "a")).results] == [
         (name, grading.MISSING) for name in expected]
-    path = notebook(tmp_path, [cells.source(EXERCISES[expected[0]])[0]], "renamed.ipynb")
+    path = notebook(tmp_path, [EXERCISES[expected[0]].stub], "renamed.ipynb")
     assert [r.exercise for r in grading.grade(grading.read(path, "a")).results] == expected
 
 

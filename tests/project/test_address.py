@@ -34,6 +34,6 @@ def test_every_file_names_the_same_version():
     assert f"\nversion: {version}\n" in text("CITATION.cff")
     assert re.search(r"^## \[(.*?)\] - ([\d-]+)", text("CHANGELOG.md"), re.MULTILINE).groups() == (
         version, re.search(r"date-released: (.*)", text("CITATION.cff"))[1])
-    named = [found for page in ("README.md", "docs/teaching.md", "docs/commands.md")
+    named = [found for page in ("docs/install.md", "docs/teaching.md", "docs/commands.md")
              for found in re.findall(r"vislam_edu-([\d.]+)-py3", text(page))]
     assert set(named) == {version}

@@ -107,6 +107,26 @@ def test_names_in_the_documentation_are_there(path):
     assert list(missing(path.read_text(encoding="utf-8"), dotted_only=True)) == []
 
 
+PATH = re.compile(r"(?<![\w/.])((?:\.ci|benchmarks|data|docs|notebooks|tests|tools|vislam_edu)(?:/[\w.]+)+)")
+MADE_UP = re.compile(r"NN|18")  # what a recipe makes
+
+
+def gone(text):
+    """What a text names of this repository that is not there: files, `python -m vislam_edu` commands."""
+    yield from (path for path in PATH.findall(text)
+                if not MADE_UP.search(path) and not (ROOT / path.rstrip(".")).exists())
+    yield from (name for name in re.findall(r"python -m vislam_edu ([a-z]\w*)", text)
+                if not list((ROOT / "vislam_edu").rglob(f"cli/{name}.py")))
+
+
+def test_files_and_commands_of_contributing_are_there():
+    text = TEXTS[0].read_text(encoding="utf-8")
+    assert list(gone(text)) == []
+    assert list(gone("`tests/nowhere.py`, python -m vislam_edu nothing")) == ["tests/nowhere.py", "nothing"]
+    scripts = {path.relative_to(ROOT).as_posix() for path in (ROOT / "benchmarks").glob("*.py")}
+    assert {path for path in PATH.findall(text) if path.startswith("benchmarks/") and path.endswith(".py")} == scripts
+
+
 def test_a_name_that_is_gone_is_found():
     gone = ["slam.update", "recordings.py", "Belief.pose_variance", "nowhere_at" + "_all", "numpy.nothing"]
     there = ["se3.exp", "error_state.py", "drive.taus", "Belief.pose", "numpy.dtype", "window_slam"]

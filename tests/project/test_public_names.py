@@ -40,11 +40,14 @@ def test_the_readme_has_one_row_a_room_of_the_helper_and_of_the_course():
     assert rows_of_readme("The course, ") == sorted({re.sub(r"^ch\d\d$", "chNN", name) for name in folders})
 
 
-def test_the_readme_names_every_core_file_once():
+def test_the_readme_names_every_core_file_once_and_the_page_has_them_in_its_order():
     table = (ROOT / "README.md").read_text(encoding="utf-8").partition("## The package")[2].partition("\n## ")[0]
     [core] = [line for line in table.splitlines() if line.startswith("| the core")]
     files = {path.stem for path in (ROOT / "vislam_edu").glob("*.py")} - {"__init__", "__main__"}
-    assert sorted(re.findall(r"`(\w+)`", core)) == sorted(files)
+    names = re.findall(r"`(\w+)`", core)
+    assert sorted(names) == sorted(files)
+    page = (ROOT / "docs" / "api.md").read_text(encoding="utf-8")
+    assert re.findall(r"automodule:: vislam_edu\.(\w+)", page) == names
 
 
 def test_importing_the_package_changes_nothing():

@@ -1,6 +1,6 @@
 """The course on top of the helper: what the notebooks need and nobody else. The helper never imports it.
 
-ch00 ... ch14   a folder a chapter: its `exercises`, `figures` and `panel`, where it has them
+chNN            a folder a chapter: its `exercises`, `figures` and `panel`, where it has them
 checks          what judges and explains an answer
 exercises       all exercises of all chapters, and `check`, `hint`, `solution`
 grading         submitted notebooks, one, a folder, a class

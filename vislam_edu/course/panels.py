@@ -19,6 +19,11 @@ def add_axes(picture, rect, title, xlabel="", ylabel="", **kwargs):
     return axes
 
 
+def moving_line(picture, axes, *form, **style):
+    """A line of the axes, empty until the picture's `draw` gives it points. form, style : as of matplotlib's plot."""
+    return picture.moves(*axes.plot([], [], *form, **style))
+
+
 def legend(axes, handles, columns=9, **kwargs):
     """A legend in one row or a few, by default under the axes' upper edge on the right."""
     kwargs = {"loc": "upper right", "borderaxespad": 0.3, **kwargs}
@@ -40,6 +45,12 @@ def fit_equal(axes, *points, margin):
     scale = max((x1 - x0) / box.width, (y1 - y0) / box.height)  # units per px
     (x, y), half = np.array([x0 + x1, y0 + y1]) / 2, scale / 2 * np.array([box.width, box.height])
     axes.set(xlim=(x - half[0], x + half[0]), ylim=(y - half[1], y + half[1]))
+
+
+def round_up(length, steps=(1, 2, 5, 10)):
+    """The next of these numbers times a power of ten: axes that hold it change seldom."""
+    power = 10.0 ** np.floor(np.log10(length))
+    return power * next(step for step in steps if step * power >= length)
 
 
 def image_axes(picture, rect, title):

@@ -205,24 +205,25 @@ function prepare(canvas) {
   return { ctx, w, h };
 }
 
-/** Text with the background behind it, so that it can be read over lines. */
-function label(ctx, text, x, y, colour, paper, align = "left") {
+/** Text with the background behind it, so that it can be read over lines; pressed together where it is wider than `most`. */
+function label(ctx, text, x, y, colour, paper, align = "left", most = undefined) {
   ctx.textAlign = align;
   ctx.lineWidth = 3;
   ctx.lineJoin = "round";
   ctx.strokeStyle = paper;
-  ctx.strokeText(text, x, y);
+  ctx.strokeText(text, x, y, most);
   ctx.fillStyle = colour;
-  ctx.fillText(text, x, y);
+  ctx.fillText(text, x, y, most);
   ctx.textAlign = "left";
 }
 
-/** Texts of several colours, [text, colour], one after the other. */
-function labels(ctx, x, y, look, words) {
-  for (const [text, colour] of words) {
-    label(ctx, text, x, y, colour, look.paper);
-    x += ctx.measureText(text).width;
-  }
+/** Texts of several colours, [text, colour], one after the other, no wider than `most` px. */
+function labels(ctx, x, y, look, words, most) {
+  const widths = words.map(([text]) => ctx.measureText(text).width), press = Math.min(1, most / widths.reduce((a, b) => a + b));
+  words.forEach(([text, colour], j) => {
+    label(ctx, text, x, y, colour, look.paper, "left", widths[j] * press);
+    x += widths[j] * press;
+  });
 }
 
 /** #rrggbb to three numbers. */
@@ -688,7 +689,7 @@ function drawBlocks(canvas, look, history, run) {
     label(ctx, look.chosen < 0 ? "Click a landmark." : `Landmark ${look.chosen} is not in the state now.`, 4, 11, look.ink, look.paper);
     return shown;
   }
-  words.forEach((text, line) => label(ctx, text, 4, 11 + 13 * line, look.colours.measured, look.paper));
+  words.forEach((text, line) => label(ctx, text, 4, 11 + 13 * line, look.colours.measured, look.paper, "left", w - 8));
   const all = readMatrix(run, look), d = shot.sigma.length, t = 3 * shot.n, own = [0, 1, 2].map((u) => 3 * at + u);
   const columns = [...own, ...Array.from({ length: 6 }, (_, u) => t + u)], x0 = 20, y0 = 72, cell = (w - x0 - 16) / 9, high = (h - y0 - 4) / 3;
   const name = (row) => (row < t ? run.rows[0][row - own[0]] : run.rows[1][row - t]);
@@ -850,12 +851,12 @@ function drawLandmark(canvas, look, history, runs) {
   const words = [[`landmark ${look.chosen}: `, c.measured], ...(shown.axes[0]
     ? shown.axes[0].map((v, axis) => [`${axis ? "" : "σ longest "}${metres(v)}${axis < 2 ? ", " : ""}`, hues[axis]])
     : [["not in the state now", look.ink]])];
-  labels(ctx, 4, 11, look, words);
+  labels(ctx, 4, 11, look, words, w - 8);
   shown.words = words.map(([text]) => text).join("");
   if (at[0] >= 0 && runs[0].matrix) {
     shown.shares = shares(runs[0], now[0], at[0]);
     shown.words += `; ${shown.shares}`;
-    label(ctx, shown.shares + (runs.length > 1 ? `; dashed: ${runs[1].name}` : ""), 4, 24, look.ink, look.paper);
+    label(ctx, shown.shares + (runs.length > 1 ? `; dashed: ${runs[1].name}` : ""), 4, 24, look.ink, look.paper, "left", w - 8);
   }
   return shown;
 }
@@ -954,7 +955,7 @@ function drawSeries(ctx, look, history, runs, at, area, axis) {
   plot.cursor(runs[0], look.i);
   const v = runs.map((run) => short(run.series[at].values[look.i])).join(" and ");
   const band = /error/.test(first.name) ? ", dashed: ± 3σ after updates" : first.stair ? ": up predicted, down updated" : Number.isFinite(first.low[first.low.length - 1]) ? ", 95 % band dashed" : "";
-  label(ctx, `${first.name}${first.unit ? ` (${first.unit})` : ""}: ${v}${band}`, area.x - 40, area.y - 4, look.ink, look.paper);
+  label(ctx, `${first.name}${first.unit ? ` (${first.unit})` : ""}: ${v}${band}`, area.x - 40, area.y - 4, look.ink, look.paper, "left", area.w + 40);
   return plot;
 }
 
@@ -1115,7 +1116,7 @@ function drawImage(canvas, look, history, run) {
   const words = seen.length ? `left image, predictions × ${shown.enlarged} from the measured pixel` : "left image: nothing was predicted in this frame";
   label(ctx, words, x0, 11, look.ink, look.paper);
   labels(ctx, x0, y0 + k * height + 12, look, [["● measured  ", c.measured], ["○ 95 % of the prediction (S)  ", c.predicted],
-    [updated ? "─ what is left  " : "─ innovation  ", c.accepted], ["┄ kept out", c.rejected]]);
+    [updated ? "─ what is left  " : "─ innovation  ", c.accepted], ["┄ kept out", c.rejected]], w - 12);
   const one = seen.find((s) => s.id === look.chosen), top = y0 + k * height + 20;
   if (one) shown.chosen = drawInnovation(ctx, look, updated, one, { x: 6, y: top, w: w - 12, h: h - top - 4 });
   else label(ctx, "chosen landmark: not measured in this frame", x0, top + 12, look.ink, look.paper);

@@ -20,13 +20,10 @@ class _Image(anywidget.AnyWidget):
     """A PNG, `value`, with its alternative text, `alt`, which ipywidgets' own Image has not."""
 
     _esm = """export default { render({ model, el }) {
-      const image = el.appendChild(document.createElement("img"));
-      image.className = "widget-image";
-      image.style.width = "100%";
+      const image = el.appendChild(Object.assign(new Image(), { className: "widget-image", style: "width:100%" }));
       const show = () => {
         URL.revokeObjectURL(image.src);
-        image.src = URL.createObjectURL(new Blob([model.get("value")]));
-        image.alt = model.get("alt");
+        Object.assign(image, { alt: model.get("alt"), src: URL.createObjectURL(new Blob([model.get("value")])) });
       };
       model.on("change:value", show);
       show();

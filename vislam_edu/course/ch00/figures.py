@@ -1,8 +1,4 @@
-"""Figures of chapter 00 that are more than one line of matplotlib; each returns a Figure.
-
-Poses are world_T_imu, (T, 4, 4); positions in metres in the world frame, pixels of the left camera unless it is said
-otherwise. The titles say what was found, so they are computed from what is drawn.
-"""
+"""Figures of chapter 00. Poses are world_T_imu, (T, 4, 4); positions in metres in the world frame; each is a Figure."""
 
 import numpy as np
 from matplotlib.collections import LineCollection

@@ -223,15 +223,8 @@ def left_jacobian(xi):
 left_jacobian.slip("I at zero rotation", """Zero rotation is not a zero twist: there the Jacobian is [[I, v^/2], [0,
     I]], because turning at the start of a straight path moves its end.""",
     ("return J", "return J if np.linalg.norm(xi[3:]) > 1e-6 else np.eye(6)"))
-
-
-@left_jacobian.mistake("no small-angle branch", """At zero rotation the closed form divides 0 by 0. Use the series
-there: [[I, v^/2], [0, I]].""")
-def _(xi):
-    with np.errstate(all="ignore"):
-        return se3.left_jacobian(xi) + 0.0 / np.linalg.norm(xi[3:])
-
-
+left_jacobian.slip("no small-angle branch", """At zero rotation the closed form divides 0 by 0. Use the series there:
+    [[I, v^/2], [0, I]].""", ("return J", "return J + 0.0 / np.linalg.norm(xi[3:])"))
 left_jacobian.slip("block of v forgotten", """The Jacobian of SO(3) on the diagonal is not all: the upper right block
     says how a small turn moves the end of the path.""", ("    X[:3, 3:] = se3.so3_hat(xi[:3])\n", ""))
 left_jacobian.slip("right Jacobian", "This is the right Jacobian, left_jacobian(-xi): the odd terms change sign.",

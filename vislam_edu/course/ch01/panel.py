@@ -1,6 +1,7 @@
 """Chapter 01: a twist integrated, exactly and by Euler's method, and what its noise does to the pose."""
 
 from dataclasses import dataclass
+from functools import lru_cache, reduce
 
 import numpy as np
 from matplotlib.collections import LineCollection
@@ -9,7 +10,7 @@ from matplotlib.path import Path
 from ... import odometry, se3
 from ...plots.style import COLOURS, ellipse_points
 from ...widgets.canvas import Number, Picture
-from ..panels import LETTERING, add_axes, legend_above
+from ..panels import LETTERING, add_axes, legend_above, moving_line, round_up
 
 TAU = 0.5  # s, one IMU sample
 SAMPLES = 20
@@ -20,12 +21,10 @@ AXIS_COLOURS = [COLOURS["rejected"], COLOURS["accepted"], COLOURS["predicted"]] 
 
 # Seen from behind, to the right and above: screen right and screen up, as directions of the world.
 _AZIMUTH, _ELEVATION = np.deg2rad([-110.0, 28.0])
-VIEW = np.array(
-    [
-        [-np.sin(_AZIMUTH), np.cos(_AZIMUTH), 0.0],
-        [-np.sin(_ELEVATION) * np.cos(_AZIMUTH), -np.sin(_ELEVATION) * np.sin(_AZIMUTH), np.cos(_ELEVATION)],
-    ]
-)
+VIEW = np.array([
+    [-np.sin(_AZIMUTH), np.cos(_AZIMUTH), 0.0],
+    [-np.sin(_ELEVATION) * np.cos(_AZIMUTH), -np.sin(_ELEVATION) * np.sin(_AZIMUTH), np.cos(_ELEVATION)]])
+REACHES = (1, 1.2, 1.5, 2, 2.5, 3, 4, 5, 6, 8, 10)  # times a power of ten, m: how far the view reaches
 CONTROLS = {
     "v_x": Number("v x (m/s)", 5.0, -10.0, 10.0, 0.5),
     "v_y": Number("v y (m/s)", 0.0, -10.0, 10.0, 0.5),
@@ -81,11 +80,7 @@ def integrate_noisy(twist, noise, normal, tau=TAU):
 
     normal : (samples, n, 6), standard normal numbers. noise : PlanarNoise.
     """
-    increments = se3.exp(tau * (twist + noise.sigmas * normal))
-    poses = increments[0]
-    for increment in increments[1:]:
-        poses = poses @ increment
-    return poses
+    return reduce(np.matmul, se3.exp(tau * (twist + noise.sigmas * normal)))
 
 
 def propagate(twist, noise, samples, tau=TAU):
@@ -117,30 +112,21 @@ def banana(belief):
     return (belief.world_T_imu @ se3.exp(epsilon))[:, :2, 3]
 
 
-def round_up(length):
-    """The next of ..., 1, 1.2, 1.5, 2, 2.5, 3, 4, 5, 6, 8, 10, ..."""
-    power = 10.0 ** np.floor(np.log10(length))
-    return power * next(m for m in (1, 1.2, 1.5, 2, 2.5, 3, 4, 5, 6, 8, 10) if m * power >= length)
-
-
 class Motion:
     """A twist integrated: by Euler's method, with noise, and as a Gaussian.
 
-    key : the values of the sliders. normal : (SAMPLES, n, 6), standard normal numbers.
+    twist, samples, steps, sigma_omega : as the sliders have them. normal : (SAMPLES, n, 6), standard normal numbers.
     """
 
-    def __init__(self, key, normal):
-        self.key = key
-        self.twist = np.array(key[:6])
-        samples, steps, sigma_omega = key[6:]
-        self.duration = TAU * samples
+    def __init__(self, twist, samples, steps, sigma_omega, normal):
+        self.twist, self.duration = np.array(twist), TAU * samples
         self.euler = euler(self.twist, self.duration, steps)
         noise = PlanarNoise(SIGMA_V, sigma_omega)
         self.ends = integrate_noisy(self.twist, noise, normal[:samples])[:, :2, 3]
         # However it bends, an arc of length L stays between -0.22 L and L ahead and within 0.73 L to the
         # sides, so the view need not move when omega does.
         speed = np.linalg.norm(self.twist[:3])
-        self.reach = round_up(1.05 * max(speed * self.duration, 4 * SIGMA_V * self.duration))
+        self.reach = round_up(1.05 * max(speed * self.duration, 4 * SIGMA_V * self.duration), REACHES)
         self.centre = 0.4 * self.reach * self.twist[:3] / max(speed, 1e-9)
         belief = propagate(self.twist, noise, samples)
         self.banana, self.plane = banana(belief), plane_ellipse(belief)
@@ -157,92 +143,61 @@ class TwistPicture(Picture):
     controls = CONTROLS
 
     def __init__(self, seed=0):
-        self._last = None
         self.normal = np.random.default_rng(seed).standard_normal((SAMPLES, PARTICLES, 6))
+        self.outcome = lru_cache(1)(self._outcome)  # picture and caption ask for the same
         super().__init__()
 
     def build(self):
-        """The view in space on the left, the view from above on the right."""
-        self.space = add_axes(
-            self,
-            (0.01, 0.06, 0.48, 0.72),
-            "In space: the frame along its screw",
-            xticks=[],
-            yticks=[],
-            aspect="equal",
-            adjustable="box",
-        )
+        self.space = add_axes(self, (0.01, 0.06, 0.48, 0.72), "In space: the frame along its screw", xticks=[],
+                              yticks=[], aspect="equal", adjustable="box")
         self.space.grid(False)
-        for spine in self.space.spines.values():
-            spine.set_visible(False)
-        lines = {}
-        for name, style in (
-            ("ground", {"lw": 0.6, "color": "0.85"}),
-            ("shadow", {"lw": 1.0, "color": "0.7", "label": "its shadow on z = 0"}),
-            ("axis", {"lw": 1.2, "ls": "--", "color": COLOURS["smoother"], "label": "screw axis"}),
-            ("triads", {"lw": 2.0}),
-        ):
-            lines[name] = self.space.add_collection(LineCollection([], **style), autolim=False)
-        (self.path,) = self.space.plot([], [], "-", lw=1.6, color=COLOURS["truth"], label="exp")
-        (self.euler,) = self.space.plot([], [], "o--", lw=1.4, ms=3.5, color=COLOURS["measured"], label="Euler")
-        self.ground, self.shadow, self.axis, self.triads = self.moves(*lines.values())
-        self.moves(self.path, self.euler)
+        self.space.spines[:].set_visible(False)
+        self.ground, self.shadow, self.axis, self.triads = self.moves(*(
+            self.space.add_collection(LineCollection([], **style), autolim=False) for style in (
+                {"lw": 0.6, "color": "0.85"}, {"lw": 1.0, "color": "0.7", "label": "its shadow on z = 0"},
+                {"lw": 1.2, "ls": "--", "color": COLOURS["smoother"], "label": "screw axis"}, {"lw": 2.0})))
+        self.path = moving_line(self, self.space, "-", lw=1.6, color=COLOURS["truth"], label="exp")
+        self.euler = moving_line(self, self.space, "o--", lw=1.4, ms=3.5, color=COLOURS["measured"], label="Euler")
         self.grid = self.figure.text(0.02, 0.02, "", fontsize=LETTERING, color="0.35")  # stays with the frame
         legend_above(self.space, [self.path, self.euler, self.axis, self.shadow], lines=2)
 
-        self.above = add_axes(
-            self,
-            (0.58, 0.12, 0.4, 0.64),
-            "From above: noise on v x, v y, ω z",
-            "x (m)",
-            "y (m)",
-            aspect="equal",
-            adjustable="box",
-        )
-        (self.cloud,) = self.above.plot([], [], ".", ms=2.5, color="0.55", label=f"{PARTICLES} noisy runs")
-        (self.mean_path,) = self.above.plot([], [], "-", lw=1.2, color=COLOURS["truth"], label="exp")
-        (self.plane,) = self.above.plot([], [], "--", lw=1.6, color=COLOURS["slam"], label="95 % in x, y")
-        (self.banana,) = self.above.plot(
-            [], [], "-", lw=1.8, color=COLOURS["posterior"], label="95 % in exp"
-        )
-        self.moves(self.cloud, self.mean_path, self.plane, self.banana)
-        legend_above(self.above, [self.cloud, self.mean_path, self.plane, self.banana], lines=2, x=-0.12)
+        self.above = add_axes(self, (0.58, 0.12, 0.4, 0.64), "From above: noise on v x, v y, ω z", "x (m)", "y (m)",
+                              aspect="equal", adjustable="box")
+        lines = [moving_line(self, self.above, form, color=colour, label=label, **style) for form, colour, label, style
+                 in ((".", "0.55", f"{PARTICLES} noisy runs", {"ms": 2.5}),
+                     ("-", COLOURS["truth"], "exp", {"lw": 1.2}),
+                     ("--", COLOURS["slam"], "95 % in x, y", {"lw": 1.6}),
+                     ("-", COLOURS["posterior"], "95 % in exp", {"lw": 1.8}))]
+        self.cloud, self.mean_path, self.plane, self.banana = lines
+        legend_above(self.above, lines, lines=2, x=-0.12)
+
+    def _outcome(self, samples, steps, sigma_omega, **twist):
+        """What there is to show, a `Motion`."""
+        return Motion(list(twist.values()), samples, steps, sigma_omega, self.normal)
 
     def draw(self, **state):
         """Show the twist [v, omega] of the sliders integrated for so many samples of the IMU."""
-        self._show(self.outcome(**state))
-
-    def outcome(self, v_x, v_y, v_z, omega_x, omega_y, omega_z, samples, steps, sigma_omega):
-        """What there is to show, a `Motion`; the last is kept, as picture and caption ask for the same."""
-        key = (v_x, v_y, v_z, omega_x, omega_y, omega_z, samples, steps, sigma_omega)
-        if self._last is None or self._last.key != key:
-            self._last = Motion(key, self.normal)
-        return self._last
-
-    def _show(self, outcome):
-        self._draw_space(outcome, outcome.twist, outcome.duration, outcome.euler)
+        outcome = self.outcome(**state)
+        self._draw_space(outcome)
+        self._draw_ground(outcome)
         self._draw_above(outcome)
 
-    def _draw_space(self, outcome, twist, duration, approximate):
-        poses = se3.exp(np.linspace(0, duration, 80)[:, None] * twist)
-        points, shadow = poses[:, :3, 3], poses[:, :3, 3] * [1, 1, 0]
+    def _draw_space(self, outcome):
+        poses = se3.exp(np.linspace(0, outcome.duration, 80)[:, None] * outcome.twist)
         side = 1.48 * outcome.reach
         self.frame(self.space, VIEW @ outcome.centre, side / 2)
-        self.path.set_data(*(points @ VIEW.T).T)
-        self.euler.set_data(*(approximate[:, :3, 3] @ VIEW.T).T)
-        self.shadow.set_segments([shadow @ VIEW.T])
-        frames = np.concatenate([se3.exp(np.linspace(0, duration, TRIADS)[:, None] * twist), approximate[-1:]])
+        self.path.set_data(*(poses[:, :3, 3] @ VIEW.T).T)
+        self.euler.set_data(*(outcome.euler[:, :3, 3] @ VIEW.T).T)
+        self.shadow.set_segments([poses[:, :3, 3] * [1, 1, 0] @ VIEW.T])
+        frames = np.concatenate([se3.exp(np.linspace(0, outcome.duration, TRIADS)[:, None] * outcome.twist),
+                                 outcome.euler[-1:]])
         tips = frames[:, :3, 3, None] + 0.09 * side * frames[:, :3, :3]  # (n, 3, axis)
         arms = np.stack([np.broadcast_to(frames[:, :3, 3, None], tips.shape), tips], axis=1)  # (n, end, 3, axis)
         self.triads.set_segments(np.moveaxis(arms, 3, 1).reshape(-1, 2, 3) @ VIEW.T)
         self.triads.set_color(AXIS_COLOURS * len(frames))
-        axis = screw_axis(twist)
-        self.axis.set_segments(
-            []
-            if axis is None
-            else [(axis[1] + reach * axis[0]) @ VIEW.T for reach in 4 * side * np.array([[[-1], [1]]])]
-        )
-        self._draw_ground(outcome)
+        axis = screw_axis(outcome.twist)
+        self.axis.set_segments([] if axis is None else [
+            (axis[1] + reach * axis[0]) @ VIEW.T for reach in 4 * side * np.array([[[-1], [1]]])])
 
     def _draw_ground(self, outcome):
         cell = outcome.reach / 5
@@ -262,24 +217,17 @@ class TwistPicture(Picture):
         self.frame(self.above, outcome.centre[:2], 0.78 * outcome.reach)
 
     def caption(self, **state):
-        """How far Euler is off, and how much of the cloud each outline holds."""
         outcome = self.outcome(**state)
         end = outcome.euler[-1]
         off = np.linalg.norm(end[:3, 3] - se3.exp(outcome.duration * outcome.twist)[:3, 3])
         stretch = np.cbrt(np.linalg.det(end[:3, :3]))
         held = [Path(outline).contains_points(outcome.ends).mean() for outline in (outcome.banana, outcome.plane)]
         steps = "1 step" if state["steps"] == 1 else f"{state['steps']} steps"
-        return (
-            f"After {outcome.duration:.1f} s Euler with {steps} is {off:.2f} m off, its axes {stretch:.2f} times as "
-            f"long. Of the noisy runs the outline in exp coordinates holds {100 * held[0]:.0f} %, the ellipse in x and "
-            f"y {100 * held[1]:.0f} %."
-        )
+        return (f"After {outcome.duration:.1f} s Euler with {steps} is {off:.2f} m off, its axes {stretch:.2f} times "
+                f"as long. Of the noisy runs the outline in exp coordinates holds {100 * held[0]:.0f} %, the ellipse "
+                f"in x and y {100 * held[1]:.0f} %.")
 
     def alt(self, **state):
-        """The picture in words."""
-        return (
-            "A frame moving along its screw axis in space, with Euler's polygon beside it; from above, a "
-            "cloud of noisy "
-            "end positions, a curved 95 % outline from exponential coordinates and a straight 95 % ellipse. "
-            + self.caption(**state)
-        )
+        return ("A frame moving along its screw axis in space, with Euler's polygon beside it; from above, a cloud of "
+                "noisy end positions, a curved 95 % outline from exponential coordinates and a straight 95 % ellipse. "
+                + self.caption(**state))

@@ -7,7 +7,7 @@ from matplotlib.path import Path
 from ...plots.style import COLOURS, ellipse_points
 from ...simulate import kitti_camera
 from ...widgets.canvas import Number, Picture
-from ..panels import add_axes, image_axes, legend, legend_above
+from ..panels import add_axes, image_axes, legend, legend_above, moving_line
 
 DRAWS = 500
 NEAR, FAR = 4.0, 60.0  # m
@@ -49,67 +49,35 @@ class StereoDepthPicture(Picture):
         super().__init__()
 
     def build(self):
-        """Images above, the cloud from above and the law of depth below."""
         self.images = [self._build_image(side, left) for side, left in (("Left", 0.06), ("Right", 0.56))]
-        self.above = add_axes(
-            self,
-            (0.09, 0.11, 0.39, 0.34),
-            "From above, sideways stretched",
-            "forward (m)",
-            "to the right (m)",
-            xlim=(0, 110),
-            ylim=(1.9, -1.9),
-        )
+        self.above = add_axes(self, (0.09, 0.11, 0.39, 0.34), "From above, sideways stretched", "forward (m)",
+                              "to the right (m)", xlim=(0, 110), ylim=(1.9, -1.9))
         self.above.plot([0, 0], [0, self.camera.baseline], ">", ms=7, color="black", clip_on=False, zorder=3)
-        self.rays = self.above.add_collection(LineCollection([], lw=0.8, color="0.6"), autolim=False)
-        (self.cloud,) = self.above.plot([], [], ".", ms=2.5, color=COLOURS["measured"], label="triangulated")
-        (self.ellipse,) = self.above.plot([], [], "-", lw=1.6, color=COLOURS["posterior"], label="95 % ellipse")
-        (self.point,) = self.above.plot([], [], "+", ms=7, mew=1.2, color=COLOURS["truth"], label="true point")
-        self.moves(self.rays, self.cloud, self.ellipse, self.point)
+        self.rays = self.moves(self.above.add_collection(LineCollection([], lw=0.8, color="0.6"), autolim=False))
+        self.cloud = moving_line(self, self.above, ".", ms=2.5, color=COLOURS["measured"], label="triangulated")
+        self.ellipse = moving_line(self, self.above, "-", lw=1.6, color=COLOURS["posterior"], label="95 % ellipse")
+        self.point = moving_line(self, self.above, "+", ms=7, mew=1.2, color=COLOURS["truth"], label="true point")
         legend_above(self.above, [self.cloud, self.ellipse, self.point], lines=2)
 
-        self.law = add_axes(
-            self,
-            (0.57, 0.11, 0.4, 0.43),
-            "Standard deviation of depth (m)",
-            "depth (m)",
-            "",
-            xlim=(0, FAR + 3),
-            ylim=(0, 24),
-        )
+        self.law = add_axes(self, (0.57, 0.11, 0.4, 0.43), "Standard deviation of depth (m)", "depth (m)", "",
+                            xlim=(0, FAR + 3), ylim=(0, 24))
         self.depths = np.linspace(0, FAR + 3, 120)
-        (self.curve,) = self.law.plot(
-            [], [], "-", lw=1.6, color=COLOURS["posterior"], label="z² / (f b) √2 σ"
-        )
-        (self.here,) = self.law.plot(
-            [], [], "o", ms=8, mfc="white", mew=1.6, color=COLOURS["posterior"], label="this depth"
-        )
-        (self.spread,) = self.law.plot(
-            [], [], "x", ms=8, mew=1.8, color=COLOURS["measured"], label="half the inner 68 %"
-        )
-        self.moves(self.curve, self.here, self.spread)
+        self.curve = moving_line(self, self.law, "-", lw=1.6, color=COLOURS["posterior"], label="z² / (f b) √2 σ")
+        self.here = moving_line(self, self.law, "o", ms=8, mfc="white", mew=1.6, color=COLOURS["posterior"],
+                                label="this depth")
+        self.spread = moving_line(self, self.law, "x", ms=8, mew=1.8, color=COLOURS["measured"],
+                                  label="half the inner 68 %")
         legend(self.law, [self.curve, self.here, self.spread], columns=1, loc="upper left")
 
     def _build_image(self, side, left):
         """One camera's image, with the noise around its pixel magnified beside it."""
         axes = image_axes(self, (left, 0.72, 0.25, 0.22), f"{side} image (px)")
         axes.set_xticks([0, 600, 1200])
-        (pixel,) = axes.plot([], [], "o", ms=5, color=COLOURS["measured"])
-        zoom = add_axes(
-            self,
-            (left + 0.3, 0.75, 0.13, 0.17),
-            "noise (px)",
-            xlim=(-ZOOM, ZOOM),
-            ylim=(ZOOM, -ZOOM),
-            xticks=[-3, 0, 3],
-            yticks=[-3, 0, 3],
-            aspect="equal",
-            facecolor="0.97",
-        )
-        (noise,) = zoom.plot([], [], ".", ms=2, color=COLOURS["measured"])
-        (ring,) = zoom.plot([], [], "-", lw=1.4, color=COLOURS["predicted"])
-        self.moves(pixel, noise, ring)
-        return pixel, noise, ring
+        zoom = add_axes(self, (left + 0.3, 0.75, 0.13, 0.17), "noise (px)", xlim=(-ZOOM, ZOOM), ylim=(ZOOM, -ZOOM),
+                        xticks=[-3, 0, 3], yticks=[-3, 0, 3], aspect="equal", facecolor="0.97")
+        return (moving_line(self, axes, "o", ms=5, color=COLOURS["measured"]),
+                moving_line(self, zoom, ".", ms=2, color=COLOURS["measured"]),
+                moving_line(self, zoom, "-", lw=1.4, color=COLOURS["predicted"]))
 
     def state_of(self, depth, right, sigma_px):
         """True point (3,) in the camera frame, its pixels (4,), noisy pixels (n, 4), their points (n, 3)."""
@@ -141,21 +109,13 @@ class StereoDepthPicture(Picture):
         return ellipse_points(point[[2, 0]], P[np.ix_([2, 0], [2, 0])])
 
     def caption(self, depth, right, sigma_px):
-        """The numbers of this depth."""
         point, true, _, cloud = self.state_of(depth, right, sigma_px)
         held = Path(self.outline(point, sigma_px)).contains_points(cloud[:, [2, 0]]).mean()
-        return (
-            f"Depth {depth:.1f} m, disparity {true[0] - true[2]:.1f} px: the depth is known to "
-            f"± {depth_sigma(depth, self.camera, sigma_px):.2f} m (one σ); of the cloud the inner 68 % lie "
-            f"within ± {inner_spread(cloud[:, 2]):.2f} m, the 95 % ellipse holds {held:.0%} of it."
-        )
+        return (f"Depth {depth:.1f} m, disparity {true[0] - true[2]:.1f} px: the depth is known to "
+                f"± {depth_sigma(depth, self.camera, sigma_px):.2f} m (one σ); of the cloud the inner 68 % lie "
+                f"within ± {inner_spread(cloud[:, 2]):.2f} m, the 95 % ellipse holds {held:.0%} of it.")
 
     def alt(self, **state):
-        """The picture in words."""
-        return (
-            "Both images of a point with its magnified pixel noise; from above the cloud of triangulated "
-            "points, drawn out "
-            "along the line of sight, with its 95 % ellipse; below it the standard deviation of depth, "
-            "growing with the "
-            "square of depth. " + self.caption(**state)
-        )
+        return ("Both images of a point with its magnified pixel noise; from above the cloud of triangulated points, "
+                "drawn out along the line of sight, with its 95 % ellipse; below it the standard deviation of depth, "
+                "growing with the square of depth. " + self.caption(**state))

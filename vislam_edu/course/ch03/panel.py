@@ -6,7 +6,7 @@ from scipy.stats import norm
 from ... import kalman
 from ...plots.style import COLOURS, ellipse_points
 from ...widgets.canvas import Number, Picture
-from ..panels import add_axes, fit_equal, legend_above
+from ..panels import add_axes, fit_equal, legend_above, moving_line
 
 PREDICTED = 30.0  # m, where the car is predicted to be
 CONTROLS = {
@@ -36,17 +36,16 @@ class TwoGaussiansPicture(Picture):
     controls = CONTROLS
 
     def build(self):
-        """The densities above, the informations below."""
         self.densities = add_axes(self, (0.1, 0.44, 0.86, 0.4), "Where is the car?", "position along the road (m)",
                                   "density (1/m)", xlim=(20, 40), ylim=(0, 1.2))
         self.x = np.linspace(20, 40, 600)
-        lines = [self.densities.plot([], [], "-", lw=1.8, color=colour, label=name)[0] for name, colour in ROWS.items()]
-        self.lines = dict(zip(ROWS, self.moves(*lines)))
-        legend_above(self.densities, lines)
+        self.lines = {name: moving_line(self, self.densities, "-", lw=1.8, color=colour, label=name)
+                      for name, colour in ROWS.items()}
+        legend_above(self.densities, self.lines.values())
         self.information = add_axes(self, (0.1, 0.12, 0.86, 0.14), "Information 1/σ² (1/m²): the lower bar is the sum",
                                     xlim=(0, 8.5), ylim=(-0.6, 1.6), yticks=[])
-        bars = [self.information.plot([], [], "-", lw=9, solid_capstyle="butt", color=ROWS[name])[0] for name in ROWS]
-        self.bars = dict(zip(ROWS, self.moves(*bars)))
+        self.bars = {name: moving_line(self, self.information, "-", lw=9, solid_capstyle="butt", color=colour)
+                     for name, colour in ROWS.items()}
 
     def draw(self, measured, sigma_predicted, sigma_measured):
         """Show a measurement (m) and both standard deviations (m)."""
@@ -61,15 +60,19 @@ class TwoGaussiansPicture(Picture):
         self.bars["both"].set_data([0, total], [0, 0])
 
     def caption(self, measured, sigma_predicted, sigma_measured):
-        """Gain, mean and standard deviation."""
         gain, mean, sigma = combine(measured, sigma_predicted, sigma_measured)
         return (f"Predicted {PREDICTED:.0f} ± {sigma_predicted:.1f} m, measured {measured:.1f} ± "
                 f"{sigma_measured:.1f} m: gain {gain:.2f}, together {mean:.2f} ± {sigma:.2f} m.")
 
     def alt(self, **state):
-        """The picture in words."""
         return ("Three Gaussian densities along a road: predicted, measured, and both together, narrower than either; "
                 "below, their informations as bars, the first two adding up to the third. " + self.caption(**state))
+
+
+def directions(bearing):
+    """(2, 2): unit vectors along and across a ray. bearing : degrees."""
+    cos, sin = np.cos(np.radians(bearing)), np.sin(np.radians(bearing))
+    return np.array([[cos, sin], [-sin, cos]])
 
 
 def ray_update(bearing, sigma):
@@ -77,9 +80,9 @@ def ray_update(bearing, sigma):
 
     bearing : of the ray, degrees. sigma : of the distance across the ray, m.
     """
-    H = np.array([[-np.sin(np.radians(bearing)), np.cos(np.radians(bearing))]])
-    S = kalman.innovation_covariance(PRIOR, H, np.array([[sigma**2]]))
-    mean, covariance = kalman.update(PRIOR, H, np.array([[sigma**2]]), H @ ON_RAY)
+    H, V = directions(bearing)[1:], np.array([[sigma**2]])
+    S = kalman.innovation_covariance(PRIOR, H, V)
+    mean, covariance = kalman.update(PRIOR, H, V, H @ ON_RAY)
     return kalman.gain(PRIOR, H, S)[:, 0], mean, covariance
 
 
@@ -91,35 +94,31 @@ class RayPicture(Picture):
     controls = RAY_CONTROLS
 
     def build(self):
-        """One pair of axes, equal scales."""
         self.axes = add_axes(self, (0.1, 0.13, 0.87, 0.7), "Where is the landmark?", "x (m)", "y (m)")
         fit_equal(self.axes, np.array([[-5.0, -4.0], [5.0, 4.0]]), margin=0.0)
-        (band,) = self.axes.fill([], [], color=COLOURS["measured"], alpha=0.4, lw=0, label="measured ray, 95 %")
-        (after,) = self.axes.plot([], [], "-", lw=2, color=COLOURS["posterior"], label="both, 95 %")
+        self.band = self.moves(*self.axes.fill([], [], color=COLOURS["measured"], alpha=0.4, lw=0,
+                                               label="measured ray, 95 %"))
+        self.after = moving_line(self, self.axes, "-", lw=2, color=COLOURS["posterior"], label="both, 95 %")
         (before,) = self.axes.plot(*ellipse_points(np.zeros(2), PRIOR).T, "--", color=COLOURS["prior"],
                                    label="predicted, 95 %")
-        (move,) = self.axes.plot([], [], ".-", lw=1, color=COLOURS["truth"], label="K r")
-        self.band, self.after, self.move = self.moves(band, after, move)
-        legend_above(self.axes, [before, band, after, move])
+        self.move = moving_line(self, self.axes, ".-", lw=1, color=COLOURS["truth"], label="K r")
+        legend_above(self.axes, [before, self.band, self.after, self.move])
 
     def draw(self, bearing, sigma):
         """Show a ray of this bearing (degrees), known to sigma (m) across."""
         _, mean, covariance = ray_update(bearing, sigma)
-        along = np.array([np.cos(np.radians(bearing)), np.sin(np.radians(bearing))])
-        side = 1.96 * sigma * np.array([-along[1], along[0]])
+        along, across = directions(bearing)
+        side = 1.96 * sigma * across
         self.band.set_xy([ON_RAY + far * along + off * side for far, off in ((-20, -1), (20, -1), (20, 1), (-20, 1))])
         self.after.set_data(*ellipse_points(mean, covariance).T)
         self.move.set_data([0, mean[0]], [0, mean[1]])
 
     def caption(self, bearing, sigma):
-        """Gain, and the standard deviations along and across the ray, before and after."""
         gain, _, covariance = ray_update(bearing, sigma)
-        along = np.array([np.cos(np.radians(bearing)), np.sin(np.radians(bearing))])
-        lengths = [np.sqrt(d @ P @ d) for d in (along, np.array([-along[1], along[0]])) for P in (PRIOR, covariance)]
+        lengths = [np.sqrt(d @ P @ d) for d in directions(bearing) for P in (PRIOR, covariance)]
         return ("Gain ({:.2f}, {:.2f}). Standard deviation along the ray {:.2f} → {:.2f} m, across {:.2f} → {:.2f} m."
                 .format(*gain, *lengths))
 
     def alt(self, **state):
-        """The picture in words."""
         return ("A tilted ellipse of the prediction, a straight band of the measurement, and the smaller ellipse of "
                 f"both where they overlap. {self.caption(**state)}")

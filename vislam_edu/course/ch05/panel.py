@@ -141,7 +141,6 @@ class TwoNumbersPicture(Picture):
     controls = CONTROLS
 
     def build(self):
-        """One pair of axes for each of the two filters."""
         self.rows = []
         for left, title in ((0.08, "Joint"), (0.57, "Cross-covariance dropped after each step")):
             axes = add_axes(self, (left, 0.13, 0.41, 0.68), title, "error of the landmark m (m)",
@@ -164,7 +163,6 @@ class TwoNumbersPicture(Picture):
             band.set_visible(step != 2)
 
     def caption(self, after, looks):
-        """Standard deviations of both filters."""
         found = []
         for name, drop in (("joint", False), ("dropped", True)):
             P = two_numbers(looks, drop)[STEPS.index(after)]
@@ -174,6 +172,5 @@ class TwoNumbersPicture(Picture):
         return f"{after}, standard deviations. {'; '.join(found)}."
 
     def alt(self, **state):
-        """The picture in words."""
         return ("The 95 % ellipse of the errors of a landmark and a car, before and after a step, in two filters; a "
                 f"look is a narrow band along the diagonal. {self.caption(**state)}")

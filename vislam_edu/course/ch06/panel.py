@@ -1,6 +1,6 @@
 """Chapter 06: the filter run again for other W, V and Sigma_0, and what its errors and innovations say to that."""
 
-from dataclasses import dataclass
+from functools import cache, partial
 
 import numpy as np
 from matplotlib.collections import PolyCollection
@@ -13,7 +13,7 @@ from ...plots.text import two_digits
 from ...studies.runs import record
 from ...widgets.canvas import Decades, Number, Picture, Switch
 from ...widgets.history import frame_nis, nis_band
-from ..panels import LETTERING, TITLE, add_axes, legend
+from ..panels import LETTERING, TITLE, add_axes, legend, moving_line, round_up
 
 LEFT, YAW = 1, 5  # of the pose error: across the road, where an error of the heading shows, and the heading
 ELLIPSES = 6
@@ -29,56 +29,34 @@ CONTROLS: dict[str, Number | Switch] = {
 }
 
 
-@dataclass(frozen=True, eq=False)
 class FilterRun:
-    """One run of the joint filter over T frames, held against the truth.
+    """The joint filter without a gate over T frames, run with one setting of `CONTROLS` and held against the truth.
 
-    world_T_imu : (T, 4, 4). error, sigma : (T, 6), of the pose as a right perturbation, m and rad.
-    ground : (T, 2, 2) m^2, covariance of the position seen from above.
+    drive : Drive with truth. begin : (4, 4), where the filter believes to start. noise : Noise, whose initial
+    covariance is multiplied by start**2.
+
+    world_T_imu : (T, 4, 4). error, sigma : (T, 6), of the pose as a right perturbation, m and rad. final_error : m,
+    distance from the truth at the end. ground : (T, 2, 2) m^2, covariance of the position seen from above.
     nees : (T,) of the pose, 6 degrees of freedom. nis : (T,) of a frame, divided by its degrees of freedom;
     NaN where nothing was predicted. measurement_nis : mean NIS of one stereo measurement, 4 if all is right.
     """
 
-    world_T_imu: np.ndarray
-    error: np.ndarray
-    sigma: np.ndarray
-    ground: np.ndarray
-    nees: np.ndarray
-    nis: np.ndarray
-    measurement_nis: float
-
-    @property
-    def final_error(self) -> float:
-        """Distance, m, from the truth at the end."""
-        return float(np.linalg.norm(self.error[-1, :3]))
-
-
-def filtered(drive, world_T_imu, noise, sigma_v=_TRUE.sigma_v, sigma_omega=_TRUE.sigma_omega, sigma_px=_TRUE.sigma_px,
-             start=1.0, report_birth=False, invariant=False) -> FilterRun:
-    """The joint filter without a gate, run with one setting of `CONTROLS`.
-
-    drive : Drive with truth. world_T_imu : (4, 4), where it believes to start. noise : Noise, whose initial covariance
-    is multiplied by start**2.
-    """
-    believed = Noise(sigma_v, sigma_omega, sigma_px, start**2 * noise.initial_pose_covariance, noise.landmark_prior)
-    error_state = RightInvariant() if invariant else RightPerturbation()
-    process_frame = window_slam.as_report if report_birth else window_slam.correlated
-    steps = list(window_slam.run(drive, believed, error_state, process_frame=process_frame, gate=1,
-                                 world_T_imu=world_T_imu))
-    run = record(steps, error_state)
-    poses, right = run.world_T_imu, run.right_covariance
-    R = poses[:, :3, :3]
-    nis, numbers = np.transpose([frame_nis(step, drive, error_state) for step in steps])
-    truth = drive.true_world_T_imu
-    return FilterRun(
-        poses,
-        RightPerturbation().pose_difference(truth, poses),
-        np.sqrt(np.diagonal(right, axis1=1, axis2=2)),
-        (R @ right[:, :3, :3] @ R.swapaxes(1, 2))[:, :2, :2],
-        run.nees(truth),
-        nis / np.where(numbers > 0, numbers, np.nan),
-        run.mean_nis,
-    )
+    def __init__(self, drive, begin, noise, sigma_v=_TRUE.sigma_v, sigma_omega=_TRUE.sigma_omega,
+                 sigma_px=_TRUE.sigma_px, start=1.0, report_birth=False, invariant=False):
+        believed = Noise(sigma_v, sigma_omega, sigma_px, start**2 * noise.initial_pose_covariance, noise.landmark_prior)
+        error_state = RightInvariant() if invariant else RightPerturbation()
+        process_frame = window_slam.as_report if report_birth else window_slam.correlated
+        steps = list(window_slam.run(drive, believed, error_state, process_frame=process_frame, gate=1,
+                                     world_T_imu=begin))
+        run, truth = record(steps, error_state), drive.true_world_T_imu
+        P, R = run.right_covariance, run.world_T_imu[:, :3, :3]
+        nis, numbers = np.transpose([frame_nis(step, drive, error_state) for step in steps])
+        self.world_T_imu, self.nees, self.measurement_nis = run.world_T_imu, run.nees(truth), run.mean_nis
+        self.error = RightPerturbation().pose_difference(truth, run.world_T_imu)
+        self.final_error = float(np.linalg.norm(self.error[-1, :3]))
+        self.sigma = np.sqrt(np.diagonal(P, axis1=1, axis2=2))
+        self.ground = (R @ P[:, :3, :3] @ R.swapaxes(1, 2))[:, :2, :2]
+        self.nis = nis / np.where(numbers > 0, numbers, np.nan)
 
 
 class TuningPicture(Picture):
@@ -100,18 +78,14 @@ class TuningPicture(Picture):
         if not drive.has_truth:
             raise ValueError("the tuning picture holds errors against the truth, which this drive has not")
         self.drive, self.world_T_imu, self.noise = drive, np.asarray(world_T_imu), noise or Noise()
-        self._outcomes = {}
+        self._filtered = cache(partial(FilterRun, self.drive, self.world_T_imu, self.noise))
         super().__init__()
 
     def outcome(self, **state) -> FilterRun:
         """The run that the controls stand for, done once and kept. What is not given is as at the start."""
-        key = tuple((self.start | state).values())
-        if key not in self._outcomes:
-            self._outcomes[key] = filtered(self.drive, self.world_T_imu, self.noise, **self.start | state)
-        return self._outcomes[key]
+        return self._filtered(**self.start | state)
 
     def build(self):
-        """Map; below it two errors, the NEES and the NIS."""
         times = self.drive.times - self.drive.times[0]
         self._build_map()
         self.errors = [
@@ -122,38 +96,29 @@ class TuningPicture(Picture):
         again = drive.frame[drive.first_seen[drive.landmark] < drive.frame]  # a first view is no prediction's test
         numbers = 4 * np.maximum(np.bincount(again, minlength=len(times)), 1)
         band6 = np.tile(np.array(metrics.chi2_band(6, probability=0.95))[:, None], len(times))
-        self.nees = self._build_test(
-            (0.115, 0.08, 0.37, 0.17), "NEES of the pose, honest: 6", times, band6, 6, (0.1, 1e5)
-        )
-        self.nis = self._build_test(
-            (0.61, 0.08, 0.37, 0.17), "NIS of a frame / its numbers: 1", times, nis_band(numbers), 1, (0.01, 300)
-        )
-        for line, _ in (self.nees, self.nis):
-            line.axes.set_xlabel("time (s)", fontsize=LETTERING)
+        self.nees = self._build_test((0.115, 0.08, 0.37, 0.17), "NEES of the pose, honest: 6", times, band6, 6,
+                                     (0.1, 1e5))
+        self.nis = self._build_test((0.61, 0.08, 0.37, 0.17), "NIS of a frame / its numbers: 1", times,
+                                    nis_band(numbers), 1, (0.01, 300))
 
     def _build_map(self):
         truth = self.drive.true_world_T_imu
         dead = odometry.dead_reckon(self.drive, self.noise, self.world_T_imu).world_T_imu
         self.map = add_axes(self, (0.115, 0.61, 0.865, 0.31), "", "x (m)", "y (m)", aspect="equal",
                             adjustable="datalim")
-        title = f"From above; errors and 95 % ellipses {ENLARGED} × as large"
-        self.map.set_title(title, fontsize=TITLE, loc="left", pad=22)
+        self.map.set_title(f"From above; errors and 95 % ellipses {ENLARGED} × as large", fontsize=TITLE, loc="left",
+                           pad=22)
         black = self.map.plot(*truth[:, :2, 3].T, color=COLOURS["truth"], lw=1.2, label="truth")
-        yellow = self.map.plot(
-            *self._enlarged(dead).T, color=COLOURS["dead_reckoning"], lw=1.4, ls=(0, (1, 1)), label="IMU alone"
-        )
-        (self.path,) = self.map.plot([], [], color=COLOURS["slam"], lw=1.6, ls="--", label="joint filter")
-        self.ellipses = self.map.add_collection(
-            PolyCollection([], facecolor="none", edgecolor=COLOURS["slam"], lw=1.0), autolim=False
-        )
-        self.moves(self.ellipses, self.path)
+        yellow = self.map.plot(*self._enlarged(dead).T, color=COLOURS["dead_reckoning"], lw=1.4, ls=(0, (1, 1)),
+                               label="IMU alone")
+        self.ellipses = self.moves(self.map.add_collection(
+            PolyCollection([], facecolor="none", edgecolor=COLOURS["slam"], lw=1.0), autolim=False))
+        self.path = moving_line(self, self.map, color=COLOURS["slam"], lw=1.6, ls="--", label="joint filter")
         low, high = truth[:, :2, 3].min(axis=0), truth[:, :2, 3].max(axis=0)
         margin = 0.12 * (high - low).max()
         self.map.update_datalim([low - margin, high + margin])
-        legend(
-            self.map, [*black, *yellow, self.path], loc="lower left", bbox_to_anchor=(0, 1), frameon=False,
-            borderaxespad=0.1,
-        )
+        legend(self.map, [*black, *yellow, self.path], loc="lower left", bbox_to_anchor=(0, 1), frameon=False,
+               borderaxespad=0.1)
 
     def _enlarged(self, world_T_imu):
         """(T, 2) m: positions seen from above, their distance from the truth enlarged."""
@@ -170,7 +135,7 @@ class TuningPicture(Picture):
 
     def _build_test(self, rect, title, times, band, honest, limits):
         """A chi-square number on a logarithmic scale, in its 95 % band, and a text for its mean."""
-        axes = add_axes(self, rect, title, xlim=(times[0], times[-1]), yscale="log", ylim=limits)
+        axes = add_axes(self, rect, title, "time (s)", xlim=(times[0], times[-1]), yscale="log", ylim=limits)
         axes.fill_between(times, *band, color=COLOURS["accepted"], alpha=0.2, linewidth=0)
         axes.axhline(honest, color=COLOURS["accepted"], lw=0.8)
         (line,) = axes.plot(times, np.ones_like(times), color=COLOURS["slam"], lw=1.2)
@@ -195,33 +160,26 @@ class TuningPicture(Picture):
             words.set_text(f"mean {two_digits(np.nanmean(values))}")
 
     def _fit(self, axes, top):
-        """Limits that hold ± top, the next of 1, 2, 5, 10 ...: the axes change seldom, as they must be drawn again."""
-        power = 10.0 ** np.floor(np.log10(top))
-        limit = power * next(step for step in (1, 2, 5, 10) if step * power >= top)
+        """Limits that hold ± top and change seldom, as the axes must be drawn again."""
+        limit = round_up(top)
         if axes.get_ylim()[1] != limit:
             axes.set_ylim(-limit, limit)
             self._background = None
 
     def caption(self, **state):
-        """The verdicts on this setting."""
         run = self.outcome(**state)
         low, high = metrics.chi2_band(6, probability=0.95)
         inside = 100 * np.mean((low <= run.nees) & (run.nees <= high))
-        return (
-            f"NEES {two_digits(run.nees.mean())} (6 is honest, {inside:.0f} % of the frames inside the band); "
-            f"NIS of single measurements {two_digits(run.measurement_nis)} (4 is honest), "
-            f"of whole frames {two_digits(np.nanmean(run.nis))} (1 is honest); "
-            f"{two_digits(run.final_error)} m from the truth at the end."
-        )
+        return (f"NEES {two_digits(run.nees.mean())} (6 is honest, {inside:.0f} % of the frames inside the band); "
+                f"NIS of single measurements {two_digits(run.measurement_nis)} (4 is honest), "
+                f"of whole frames {two_digits(np.nanmean(run.nis))} (1 is honest); "
+                f"{two_digits(run.final_error)} m from the truth at the end.")
 
     def alt(self, **state):
-        """The picture in words."""
         run, s = self.outcome(**state), self.start | state
         which = "right-invariant" if s["invariant"] else "right-perturbation"
         birth = "as in the report" if s["report_birth"] else "correlated"
-        return (
-            f"The {which} filter with sigma_v {s['sigma_v']:.2g} m/s, sigma_omega {s['sigma_omega']:.2g} rad/s, "
-            f"sigma_px {s['sigma_px']:.2g} px, start {s['start']:.2g} sigma, new landmarks {birth}: path on a map, "
-            f"two errors with three standard deviations, NEES (mean {two_digits(run.nees.mean())}) and NIS, "
-            "through time."
-        )
+        return (f"The {which} filter with sigma_v {s['sigma_v']:.2g} m/s, sigma_omega {s['sigma_omega']:.2g} rad/s, "
+                f"sigma_px {s['sigma_px']:.2g} px, start {s['start']:.2g} sigma, new landmarks {birth}: path on a "
+                "map, two errors with three standard deviations, NEES "
+                f"(mean {two_digits(run.nees.mean())}) and NIS, through time.")

@@ -1,7 +1,10 @@
-"""Pictures of chapter 08."""
+"""Pictures of chapters 08 and 08b."""
 
+import numpy as np
+
+from ...error_state import RightPerturbation
 from ...plots import drawing
-from ...plots.style import COLOURS, Figure
+from ...plots.style import COLOURS, Figure, styled
 
 NAMES = {"gate": "gate, 90 to 99.9 %",
          "sigma_px": "pixel noise, 0.5 to 2 px",
@@ -23,11 +26,31 @@ def sensitivity(arms: dict, title: str) -> Figure:
         for name, rows in settings.items():
             values = [row["drift_percent"] for row in rows]
             y = list(NAMES)[::-1].index(name) + shift
-            axes.plot([min(values), max(values)], [y, y], lw=5, alpha=0.4, color=COLOURS[colour],
-                      solid_capstyle="butt")
+            axes.plot([min(values), max(values)], [y, y], lw=5, alpha=0.4, color=COLOURS[colour], solid_capstyle="butt")
             axes.plot(values, [y] * len(values), marker, ms=5, mew=1.6, color=COLOURS[colour],
                       label=arm if name == "gate" else None)
     axes.set(yticks=range(len(NAMES)), xlabel="KITTI drift (%)", xlim=(0, None))
     axes.set_yticklabels(list(NAMES.values())[::-1])
     axes.set_position((0.33, 0, 0.65, 1))
     return drawing.finish(figure, title)
+
+
+@styled
+def error_and_claims(times: np.ndarray, true: np.ndarray, trajectory, added: np.ndarray) -> Figure:
+    """The error of the position along the body's axes through time, and three standard deviations of two claims.
+
+    times (T,) : s. true (T, 4, 4). trajectory : of a filter with the right perturbation. added (T, 6, 6) : what the
+    calibration adds to its covariance.
+    """
+    error = RightPerturbation().pose_difference(true, trajectory.world_T_imu)
+    figure = Figure(figsize=(drawing.WIDTH, 2.9), layout="constrained")
+    for k, (axes, name) in enumerate(zip(figure.subplots(1, 3), ("forward", "left", "up"))):
+        axes.plot(times - times[0], error[:, k], color=COLOURS["truth"], label="error")
+        for P, colour, style, label in ((trajectory.covariance, "rejected", "--", "noise alone"),
+                                        (trajectory.covariance + added, "posterior", "-.", "and calibration")):
+            for side, shown in ((3, f"± 3 σ, {label}"), (-3, None)):
+                axes.plot(times - times[0], side * np.sqrt(P[:, k, k]), ls=style, color=COLOURS[colour], label=shown)
+        axes.set(title=f"{name} (m)", xlabel="time since start (s)", xlim=(0, times[-1] - times[0]))
+    figure.suptitle("A bent lens: noise alone claims too small an error")
+    figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=3)
+    return figure

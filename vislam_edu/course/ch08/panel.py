@@ -1,7 +1,5 @@
 """Chapter 8: each cure of a recording switched on and off, the filter run again, the path held against the truth."""
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from ... import metrics, se3, window_slam
@@ -10,25 +8,23 @@ from ...motion import TwistAndBias
 from ...plots.style import COLOURS
 from ...studies import pipeline
 from ...widgets.canvas import Picture, Switch
-from ..panels import add_axes, fit_equal, legend
+from ..panels import add_axes, fit_equal, legend, moving_line
 
 LOST = 20.0  # % of drift: beyond it there is nothing to compare
 
 
-@dataclass(frozen=True, eq=False)
 class CuredRun:
     """What the filter made of the recording with some of its cures applied.
 
-    path : (T, 4, 4) poses of the left camera, the world being that camera at frame 0.
+    path, reference : (T, 4, 4) poses of the left camera, the world being that camera at frame 0.
     error : (T,) m from the reference. drift_percent : KITTI's, of the reference. ate_m : after alignment.
     rejected_share : of the measurements, kept out by the gate.
     """
 
-    path: np.ndarray
-    error: np.ndarray
-    drift_percent: float
-    ate_m: float
-    rejected_share: float
+    def __init__(self, path, rejected_share, reference):
+        self.path, self.rejected_share = path, rejected_share
+        self.error = np.linalg.norm(path[:, :3, 3] - reference[:, :3, 3], axis=-1)
+        self.drift_percent, self.ate_m = metrics.kitti_drift(reference, path)[0], metrics.ate(reference, path)
 
     @property
     def lost(self) -> bool:
@@ -67,7 +63,7 @@ class CuresPicture(Picture):
         self.report, self.noise = report, noise
         self._cures = {finding.fault: finding.cure for finding in report.findings if finding.cure}
         self.faults = tuple(self._cures)
-        self.controls = {fault.replace(" ", "_"): Switch(f"cure {fault}") for fault in self.faults}
+        self.controls = {fault.replace(" ", "_"): Switch(f"cure {fault}") for fault in self.faults}  # in the same order
         self._outcomes = {}
         self.truth = report.drive.truth_world_T_cam is not None
         self.reference = camera_path(report.drive.truth_world_T_cam) if self.truth else self._path(self.faults)[0]
@@ -94,9 +90,7 @@ class CuresPicture(Picture):
         key = frozenset(faults)
         if key not in self._outcomes:
             path, rejected_share = self._path(key)
-            self._outcomes[key] = CuredRun(
-                path, np.linalg.norm(path[:, :3, 3] - self.reference[:, :3, 3], axis=-1),
-                metrics.kitti_drift(self.reference, path)[0], metrics.ate(self.reference, path), rejected_share)
+            self._outcomes[key] = CuredRun(path, rejected_share, self.reference)
         return self._outcomes[key]
 
     def build(self):
@@ -106,29 +100,28 @@ class CuresPicture(Picture):
                             "forward at the start (m)", "left at the start (m)")
         fit_equal(self.map, path, margin=25.0)  # what leaves it is lost anyway
         (reference,) = self.map.plot(*path.T, color=COLOURS["truth"], lw=1.2, label=name)
-        (self.line,) = self.map.plot([], [], color=COLOURS["invariant"], lw=1.6, label="filter")
+        self.line = moving_line(self, self.map, color=COLOURS["invariant"], lw=1.6, label="filter")
         legend(self.map, [reference, self.line], loc="upper left")
         self.times = self.report.drive.times - self.report.drive.times[0]
         self.axes = add_axes(self, (0.66, 0.14, 0.32, 0.75), f"Distance from {'the truth' if self.truth else name}",
                              "time since start (s)", "distance (m)", yscale="log", ylim=(0.01, 300),
                              xlim=(0, self.times[-1]))
-        (self.error,) = self.axes.plot([], [], color=COLOURS["invariant"], lw=1.6)
-        self.moves(self.line, self.error)
+        self.error = moving_line(self, self.axes, color=COLOURS["invariant"], lw=1.6)
 
-    def _outcome(self, state):
-        return self.outcome([fault for fault in self.faults if state[fault.replace(" ", "_")]])
+    def _on(self, state):
+        return [fault for control, fault in zip(self.controls, self.faults) if state[control]]
 
     def draw(self, **state):
-        outcome = self._outcome(state)
+        outcome = self.outcome(self._on(state))
         self.line.set_data(*ground(outcome.path).T)
         self.error.set_data(self.times[1:], np.maximum(outcome.error[1:], 1e-3))
 
     def caption(self, **state):
-        on = [fault for fault in self.faults if state[fault.replace(" ", "_")]]
+        on = self._on(state)
         return f"Cured: {', '.join(on) or 'nothing'}. Result: {self.outcome(on)}."
 
     def alt(self, **state):
-        outcome = self._outcome(state)
+        outcome = self.outcome(self._on(state))
         how = "has nothing to do with" if outcome.lost else "follows"
         return (f"Map of the filter's path, which {how} the reference, and its distance from it over time, "
                 f"{np.nanmax(outcome.error):.2g} m at most. {self.caption(**state)}")

@@ -85,7 +85,6 @@ class CrossNotPropagated(motion.ImuDriven):
 
 # --- new landmarks ------------------------------------------------------------------------------------------
 
-
 def born_uncorrelated(prior, ids, pixels, settings):
     """A frame whose new landmarks are as uncertain as their triangulation, and correlated with nothing."""
     known = window_slam.contains(prior.ids, ids)
@@ -108,7 +107,6 @@ def used_twice(prior, ids, pixels, settings):
 
 # --- the covariance after a frame ---------------------------------------------------------------------------
 
-
 def without_cross_covariance(prior, ids, pixels, settings):
     """A frame after which landmarks and pose are assumed independent: what many first versions do."""
     prior, posterior, innovation = window_slam.correlated(prior, ids, pixels, settings)
@@ -117,7 +115,6 @@ def without_cross_covariance(prior, ids, pixels, settings):
 
 
 # --- the filters --------------------------------------------------------------------------------------------
-
 
 @dataclass(frozen=True, eq=False)
 class Variant:
@@ -134,34 +131,32 @@ class Variant:
     edit: Any = None
 
 
-def _camera(kind):
-    def applied_to(drive):
-        camera = kind(drive.camera.K, drive.camera.baseline, drive.camera.cam_T_imu)
-        return drive.replace(camera=camera), {}
-    return applied_to
-
-
 def _with(**arguments):
     return lambda drive: (drive, arguments)
 
 
+def _of_edit(title, kind, exercise, mistake):
+    """The variant with a camera, an error state or a motion model that `wrong` made."""
+    if not issubclass(kind, StereoCamera):
+        piece = {"motion_model": kind} if issubclass(kind, motion.ImuDriven) else {"error_state": kind()}
+        return Variant(title, _with(**piece), exercise, mistake, kind)
+
+    def applied_to(drive):
+        return drive.replace(camera=kind(drive.camera.K, drive.camera.baseline, drive.camera.cam_T_imu)), {}
+    return Variant(title, applied_to, exercise, mistake, kind)
+
+
 VARIANTS = {
     "right": Variant("the right filter", _with()),
-    "depth": Variant("1/q3 forgotten", _camera(NotDividedByDepth), "projection_jacobian", "1/q3 forgotten",
-                     NotDividedByDepth),
-    "bearings": Variant("pixels used as bearings", _camera(PixelsAsBearings), "triangulate",
-                        "pixels used as bearings", PixelsAsBearings),
+    "depth": _of_edit("1/q3 forgotten", NotDividedByDepth, "projection_jacobian", "1/q3 forgotten"),
+    "bearings": _of_edit("pixels used as bearings", PixelsAsBearings, "triangulate", "pixels used as bearings"),
     "extrinsics": Variant("extrinsics forgotten",
                           lambda drive: (drive, {"error_state": WithoutExtrinsics(drive.camera)}),
                           "pose_jacobian", "extrinsics forgotten"),
-    "sign": Variant("pose sign flipped", _with(error_state=SignFlipped()), "pose_jacobian", "sign flipped",
-                    SignFlipped),
-    "world": Variant("world and body mixed", _with(error_state=WorldCorrection()), "joint_update",
-                     "world and body mixed", WorldCorrection),
-    "copy": Variant("a copy updated", _with(error_state=LandmarksOnACopy()), "joint_update",
-                    "chained indexing updates a copy", LandmarksOnACopy),
-    "order": Variant("orders mixed", _with(error_state=GroupedOrder()), "joint_update",
-                     "interleaved and grouped orders mixed", GroupedOrder),
+    "sign": _of_edit("pose sign flipped", SignFlipped, "pose_jacobian", "sign flipped"),
+    "world": _of_edit("world and body mixed", WorldCorrection, "joint_update", "world and body mixed"),
+    "copy": _of_edit("a copy updated", LandmarksOnACopy, "joint_update", "chained indexing updates a copy"),
+    "order": _of_edit("orders mixed", GroupedOrder, "joint_update", "interleaved and grouped orders mixed"),
     "never": Variant("cross terms never written", _with(process_frame=without_cross_covariance), "joint_update",
                      "cross-covariances cut"),
     "cross": Variant("cross terms left behind", _with(motion_model=CrossNotPropagated), "predict_joint",
@@ -170,11 +165,9 @@ VARIANTS = {
                      "no correlation with the pose"),
     "twice": Variant("born, then used again", _with(process_frame=used_twice), "new_landmark",
                      "first measurement used twice"),
-    "tau": Variant("W not scaled by tau", _with(motion_model=NoiseWithoutTau), "process_noise", "not scaled by tau",
-                   NoiseWithoutTau),
-    "swapped": Variant("twist order swapped", _with(motion_model=SwappedTwist), "se3_exp",
-                       "rotation and translation swapped", SwappedTwist),
-    "degrees": Variant("degrees", _with(motion_model=Degrees), "se3_exp", "degrees", Degrees),
+    "tau": _of_edit("W not scaled by tau", NoiseWithoutTau, "process_noise", "not scaled by tau"),
+    "swapped": _of_edit("twist order swapped", SwappedTwist, "se3_exp", "rotation and translation swapped"),
+    "degrees": _of_edit("degrees", Degrees, "se3_exp", "degrees"),
 }
 
 LOST = 10.0  # m; who was ever as far from the truth as that, in a drive of a minute at most, is lost

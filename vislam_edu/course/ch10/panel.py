@@ -9,14 +9,11 @@ from ... import metrics, plots
 from ...plots import style
 from ...plots.style import COLOURS
 from ...widgets.canvas import Choice, Picture
-from ..panels import LETTERING, add_axes, legend
+from ..panels import LETTERING, add_axes, legend, moving_line
 
 LIMITS = {"error": (0.01, 300), "nis": (0.5, 1e5), "nees": (0.1, 3e5)}
-TITLES = {
-    "error": "Distance from the truth (m)",
-    "nis": "NIS, mean of a frame; dotted: 4",
-    "nees": "NEES; green: its 95 % band",
-}
+TITLES = {"error": "Distance from the truth (m)", "nis": "NIS, mean of a frame; dotted: 4",
+          "nees": "NEES; green: its 95 % band"}
 
 
 def view(drive, margin=0.15):
@@ -24,7 +21,7 @@ def view(drive, margin=0.15):
     path = drive.true_world_T_imu[:, :2, 3]
     low, high = path.min(axis=0), path.max(axis=0)
     half = (high - low).max() * (0.5 + margin)
-    (x, y) = (low + high) / 2
+    x, y = (low + high) / 2
     return x - half, x + half, y - half, y + half
 
 
@@ -77,7 +74,6 @@ class MuseumPicture(Picture):
         super().__init__()
 
     def build(self):
-        """The map and the error above, NIS and NEES through time below."""
         right, times = self.visits[0], self.drive.times - self.drive.times[0]
         x0, x1, y0, y1 = view(self.drive)
         self.map = add_axes(self, (0.1, 0.54, 0.38, 0.35), "From above", "x (m)", "y (m)", aspect="equal",
@@ -88,21 +84,18 @@ class MuseumPicture(Picture):
         truth = self.map.plot(*self.drive.true_world_T_imu[:, :2, 3].T, color=COLOURS["truth"], lw=2.6, label="truth")
         good = self.map.plot(*right.run.world_T_imu[:, :2, 3].T, color=COLOURS["predicted"], lw=1.2,
                              label="right filter")
-        (self.path,) = self.map.plot([], [], color=red, lw=1.6, ls="--", label="with the mistake")
-        self.moves(self.path)
+        self.path = moving_line(self, self.map, color=red, lw=1.6, ls="--", label="with the mistake")
         self.lines = {}
         places = {"error": (0.58, 0.54, 0.4, 0.35), "nis": (0.1, 0.15, 0.38, 0.26), "nees": (0.58, 0.15, 0.4, 0.26)}
         for kind, rect in places.items():
-            axes = add_axes(self, rect, TITLES[kind], xlim=(0, times[-1]), yscale="log", ylim=LIMITS[kind])
+            axes = add_axes(self, rect, TITLES[kind], "time (s)", xlim=(0, times[-1]), yscale="log", ylim=LIMITS[kind])
             axes.plot(times, getattr(right, kind), color=COLOURS["predicted"], lw=1.2)
-            (line,) = axes.plot([], [], color=red, lw=1.4, ls="--")
-            self.lines[kind] = self.moves(line)
+            self.lines[kind] = moving_line(self, axes, color=red, lw=1.4, ls="--")
             if kind == "nis":
                 axes.axhline(4, color=COLOURS["expected"], ls=":", lw=1.4)
             if kind == "nees":
                 band = metrics.chi2_band(6, probability=0.95)
                 axes.axhspan(*band, color=COLOURS["accepted"], alpha=0.25, linewidth=0)
-            axes.set_xlabel("time (s)", fontsize=LETTERING)
         legend(self.figure, [*truth, *good, self.path], loc="lower left")
         self.times = times
 
@@ -120,17 +113,11 @@ class MuseumPicture(Picture):
             line.set_data(self.times[:len(values)], values)
 
     def caption(self, piece):
-        """The mistake, and its three numbers beside the right ones."""
         visit, right = self._visit(piece), self.visits[0]
         stopped = "" if visit.run.stopped is None else " It could not go on to the end."
-        return (
-            f"{visit.title}: position RMSE {visit.numbers[0]} (right filter {right.numbers[0]}), mean NIS "
-            f"{visit.numbers[1]} ({right.numbers[1]}), mean NEES {visit.numbers[2]} ({right.numbers[2]}).{stopped}"
-        )
+        return (f"{visit.title}: position RMSE {visit.numbers[0]} (right filter {right.numbers[0]}), mean NIS "
+                f"{visit.numbers[1]} ({right.numbers[1]}), mean NEES {visit.numbers[2]} ({right.numbers[2]}).{stopped}")
 
     def alt(self, piece):
-        """The picture in words."""
-        return (
-            f"Paths from above: the truth, the right filter and the one with the mistake '{piece}'; "
-            f"through time, their distance from the truth, NIS and NEES. {self.caption(piece)}"
-        )
+        return (f"Paths from above: the truth, the right filter and the one with the mistake '{piece}'; "
+                f"through time, their distance from the truth, NIS and NEES. {self.caption(piece)}")

@@ -7,7 +7,7 @@ from ... import kalman
 from ...association import Candidates, branch_and_bound
 from ...plots.style import COLOURS
 from ...widgets.canvas import Number, Picture
-from ..panels import add_axes, fit_equal, legend_above
+from ..panels import add_axes, fit_equal, legend_above, moving_line
 
 
 class BranchesPicture(Picture):
@@ -39,12 +39,13 @@ class BranchesPicture(Picture):
         self.tree = add_axes(self, (0.06, 0.14, 0.36, 0.68), "Sets of pairs, in the order of the search",
                              "node", "pairs", xlim=(0, len(self.nodes) + 1), ylim=(self.depth.max() + 0.5, -0.5),
                              yticks=np.arange(self.depth.max() + 1))
-        edges = LineCollection([], colors=COLOURS["faded"], linewidths=0.9)
-        self.tree.add_collection(edges, autolim=False)
-        (fitting,) = self.tree.plot([], [], "o", ms=5, color=COLOURS["accepted"], label="fits together")
-        (ended,) = self.tree.plot([], [], "x", ms=5, color=COLOURS["rejected"], label="does not")
-        (here,) = self.tree.plot([], [], "o", ms=12, mfc="none", mew=1.5, color=COLOURS["truth"], label="this node")
-        legend_above(self.tree, [fitting, ended, here])
+        self.edges = self.moves(self.tree.add_collection(
+            LineCollection([], colors=COLOURS["faded"], linewidths=0.9), autolim=False))
+        self.fitting = moving_line(self, self.tree, "o", ms=5, color=COLOURS["accepted"], label="fits together")
+        self.ended = moving_line(self, self.tree, "x", ms=5, color=COLOURS["rejected"], label="does not")
+        self.here = moving_line(self, self.tree, "o", ms=12, mfc="none", mew=1.5, color=COLOURS["truth"],
+                                label="this node")
+        legend_above(self.tree, [self.fitting, self.ended, self.here])
 
         new, old = self.both.landmarks[:len(self.both.new)], self.both.landmarks[len(self.both.new):]
         self.map = add_axes(self, (0.5, 0.14, 0.49, 0.68), "Its pairs on the map", "x (m)", "y (m)")
@@ -56,19 +57,15 @@ class BranchesPicture(Picture):
             for row in rows:
                 self.map.annotate(str(ids[row]), points[row, :2], xytext=(beside, 0), textcoords="offset points",
                                   fontsize=9, color=COLOURS[colour], ha=side, va="center", clip_on=True)
-        lines = LineCollection([], linewidths=2.5)
-        self.map.add_collection(lines, autolim=False)
+        self.lines = self.moves(self.map.add_collection(LineCollection([], linewidths=2.5), autolim=False))
         (olds,) = self.map.plot(*old[:, :2].T, "s", ms=3, color=COLOURS["dead_reckoning"], label="old")
         (news,) = self.map.plot(*new[:, :2].T, "o", ms=3, color=COLOURS["posterior"], label="new")
         legend_above(self.map, [news, olds])
         self.new, self.old = new, old
-        self.edges, self.fitting, self.ended, self.here, self.lines = self.moves(edges, fitting, ended, here, lines)
 
     def draw(self, node):
-        shown = np.arange(node)
-        place = np.column_stack([shown + 1, self.depth[:node]])
-        root = np.zeros((1, 2))
-        parents = np.concatenate([place, root])[self.parents[:node]]  # the last row is the root
+        place = np.column_stack([np.arange(node) + 1, self.depth[:node]])
+        parents = np.concatenate([place, np.zeros((1, 2))])[self.parents[:node]]  # the last row is the root
         self.edges.set_segments(np.stack([parents, place], axis=1))
         self.fitting.set_data(*place[self.fits[:node]].T)
         self.ended.set_data(*place[~self.fits[:node]].T)
@@ -78,8 +75,7 @@ class BranchesPicture(Picture):
         self.lines.set_color(COLOURS["accepted" if self.fits[node - 1] else "rejected"])
 
     def caption(self, node):
-        here = self.nodes[node - 1]
-        k = len(here.pairs)
+        here, k = self.nodes[node - 1], len(self.nodes[node - 1].pairs)
         verdict = "fits" if here.compatible else "does not fit: the branch ends"
         pairs = "1 pair" if k == 1 else f"{k} pairs"
         last = "{} with {}".format(*(ids[row] for ids, row in zip((self.both.new, self.both.old), here.pairs[-1])))

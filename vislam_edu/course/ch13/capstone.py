@@ -26,7 +26,8 @@ from ...studies.runs import Run, record
 from ..checks.comparing import number
 from ..checks.exercise import EXERCISES, find
 from ..checks.picture import matrices
-from ..checks.running import copied, error_message, outcome_of, within
+from ..checks.right_parts import wrong_entries
+from ..checks.running import Unreadable, copied, error_message, outcome_of, within
 from ..checks.verdict import NOT_WRITTEN, RIGHT, WRONG, Verdict, judge
 from .exercises import NOISE, apart, filter_run, renumbered
 
@@ -35,10 +36,6 @@ LIMIT = 60.0  # s, for one drive
 MOST_LANDMARKS = 300  # in the state; about 15 to 60 are in view
 ATE_ALLOWED, SIGMA_ALLOWED = 1.2, 1.5  # times those of the agreed filter
 SHARE_ALLOWED = 0.02  # how much less than of the agreed filter's measurements may pass the gate
-
-
-class _TooLarge(Exception):
-    """A state that keeps every landmark it has ever seen."""
 
 
 # --- drives -----------------------------------------------------------------------------------------------
@@ -95,8 +92,7 @@ class Followed:
 def belief(state) -> Belief:
     """A state of `filter_run` as the package's belief, which the explorer draws."""
     T, landmarks, ids, P = state
-    return Belief(np.array(T, float), np.array(landmarks, float).reshape(-1, 3), np.array(ids, int),
-                  np.array(P, float))
+    return Belief(np.array(T, float), np.array(landmarks, float).reshape(-1, 3), np.array(ids, int), np.array(P, float))
 
 
 def steps(run: Callable, drive: Drive, noise: Noise = NOISE) -> Iterator[Step]:
@@ -138,42 +134,43 @@ def follow(run: Callable, drive: Drive, noise: Noise = NOISE, limit: float = LIM
     run : as `filter_run`. A stub gives the problem "not written yet".
     """
     runs: list[Run] = []
-    problem = [""]
-    spent = [0.0]
+    problem, spent = "", 0.0
 
     def timed(drive, noise):
+        nonlocal spent
         states = iter(run(drive, noise))
         while True:
             start = time.process_time()
             state = next(states, None)
-            spent[0] += time.process_time() - start
+            spent += time.process_time() - start
             if state is None:
                 return
             if len(state[2]) > MOST_LANDMARKS:
-                raise _TooLarge
+                raise Unreadable(f"more than {MOST_LANDMARKS} landmarks in the state: those out of sight have to "
+                                 "leave it")
             yield state
 
     def work():
+        nonlocal problem
         try:
             with np.errstate(all="ignore"):
-                runs.append(record(steps(timed, drive, noise)))
+                came = record(steps(timed, drive, noise))
+            states = len(came.world_T_imu)
+            if not states:
+                raise NotImplementedError
+            if states != drive.n_frames:
+                raise Unreadable(f"{states} states for {drive.n_frames} frames")
+            if not np.isfinite(came.covariance).all():
+                raise Unreadable("a pose or its covariance is not a finite number")
+            runs.append(came)
         except NotImplementedError:
-            problem[0] = NOT_WRITTEN
-        except _TooLarge:
-            problem[0] = f"more than {MOST_LANDMARKS} landmarks in the state: those out of sight have to leave it"
+            problem = NOT_WRITTEN
         except (Exception, SystemExit) as error:
-            problem[0] = error_message(error)
+            problem = error_message(error)
 
-    ended = within(work, limit)
-    if ended:
-        problem[0] = f"no end after {limit:g} s"
-    elif not problem[0]:
-        states = len(runs[0].world_T_imu)
-        if states != drive.n_frames:
-            problem[0] = f"{states} states for {drive.n_frames} frames" if states else NOT_WRITTEN
-        elif not np.isfinite(runs[0].covariance).all():
-            problem[0] = "a pose or its covariance is not a finite number"
-    return Followed(runs[0] if runs and not problem[0] else None, spent[0], problem[0])
+    if within(work, limit):
+        return Followed(None, spent, f"no end after {limit:g} s")
+    return Followed(runs[0] if runs else None, spent, problem)
 
 
 # --- the score --------------------------------------------------------------------------------------------
@@ -358,11 +355,8 @@ def first_wrong_stage(pieces: dict[str, Callable]) -> Verdict | None:
 
     pieces : the student's functions by the names of the stages.
     """
-    for name in STAGES:
-        verdict = judge(EXERCISES[name], pieces[name])
-        if not verdict.right:
-            return verdict
-    return None
+    verdicts = (judge(EXERCISES[name], pieces[name]) for name in STAGES)
+    return next((verdict for verdict in verdicts if not verdict.right), None)
 
 
 @dataclass(frozen=True, eq=False)
@@ -404,19 +398,10 @@ def first_parting(name: str, function: Callable) -> Parting | str:
             mine, package = np.asarray(mine, float), np.asarray(package, float)
             if mine.shape != package.shape:
                 return f"{name}, {label}: {output} has shape {mine.shape}, the package's {package.shape}"
-            if parting := _parting(f"{label}: {output}", mine, package, exercise.tolerance):
-                return parting
+            if (wrong := wrong_entries(mine, package, exercise.tolerance)).any():
+                row, column = (0, 0, *np.argwhere(wrong)[0].tolist())[-2:]
+                return Parting(f"{label}: {output}", np.atleast_2d(mine), np.atleast_2d(package), (row, column))
     return f"{name}: every number is the package's"
-
-
-def _parting(where, mine, package, tolerance) -> Parting | None:
-    scale = np.abs(package).max(initial=0.0) or 1.0
-    apart = ~(np.abs(mine - package) <= tolerance * scale)
-    if not apart.any():
-        return None
-    first = [int(i) for i in np.argwhere(apart)[0]]
-    row, column = [0, 0, *first][-2:]
-    return Parting(where, np.atleast_2d(mine), np.atleast_2d(package), (row, column))
 
 
 def compare(name: str, function: Callable):

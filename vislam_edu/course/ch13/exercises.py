@@ -25,8 +25,6 @@ from ..checks.running import Unreadable
 
 NOISE = Noise()
 
-# --- what the pieces are tried on -------------------------------------------------------------------------
-
 
 def predictions(rng):
     for n in (0, 1, 3):
@@ -70,9 +68,6 @@ def frames(rng):
     yield "nothing in view", (state, np.empty(0, int), np.empty((0, 4)), inputs.CAMERA, NOISE)
 
 
-# --- predict ----------------------------------------------------------------------------------------------
-
-
 @exercise(chapter=13, cases=predictions, outputs=("world_T_imu", "covariance"),
           shows=[ekf_slam.predict, ekf_slam.predict_joint], hints=[
     "The pose moves to T exp(tau u^). Its error is carried along by F = Ad(exp(-tau u^)); landmarks stand still.",
@@ -114,9 +109,6 @@ filter_predict.slip("rotation and translation swapped", "A twist is [v, omega], 
                     (_STEP, f"twist = np.roll(twist, 3)\n    {_STEP}"))
 filter_predict.slip("degrees", "The gyro gives radians per second already.",
                     (_STEP, f"twist = np.append(twist[:3], np.radians(twist[3:]))\n    {_STEP}"))
-
-
-# --- update -----------------------------------------------------------------------------------------------
 
 
 @exercise(chapter=13, cases=updates, outputs=("world_T_imu", "landmarks", "covariance"),
@@ -174,9 +166,6 @@ filter_update.slip("columns of another landmark", """Measurement i shows landmar
 columns 3 rows[i] to 3 rows[i] + 3 of H, not 3 i.""", ("3 * j:3 * j + 3", "3 * i:3 * i + 3"))
 
 
-# --- birth ------------------------------------------------------------------------------------------------
-
-
 @exercise(chapter=13, cases=births, outputs=("landmarks", "covariance"), shows=[ekf_slam.new_landmark], hints=[
     "Triangulate in the camera frame, then imu_T_cam, then the pose. m = R s + p depends on the pose too.",
     "G = R [I, -s^]: own block G P_RR G^T + R C R^T, with every old variable G P[-6:]. C is the triangulation "
@@ -208,8 +197,6 @@ def filter_birth(world_T_imu, landmarks, covariance, pixels, camera, noise):
 
 filter_birth.slip("no correlation with the pose", """The new landmark inherits the error of the pose: its cross
 terms are G P[-6:], not zero.""", ("cross = G", "cross = 0 * G"))
-
-
 filter_birth.slip("pixels used as bearings", "The bearing is K^-1 [u, v, 1], not [u, v, 1].",
                   ("triangulate(pixels)[0]", "triangulate(pixels)[0][2] * np.array([pixels[0], pixels[1], 1.0])"))
 filter_birth.slip("extrinsics forgotten", "The triangulated point is in the camera frame: imu_T_cam comes first.",
@@ -223,9 +210,6 @@ before those of the pose.""", ("    return", """    order = np.r_[:n, n + 3:n + 
 filter_birth.slip("prior 2 I", """The report's 2 I says neither how well the point was triangulated nor how well the
 pose is known.""", ("cross = G", "cross = 0 * G"), ("G @ covariance[n:, n:] @ G.T + R @ R_cam @ C @ R_cam.T @ R.T",
                                                     "noise.landmark_prior * np.eye(3)"))
-
-
-# --- one frame --------------------------------------------------------------------------------------------
 
 
 def by_id(values):
@@ -301,9 +285,6 @@ filter_frame.slip("new ids in front", "A new landmark is the last of the landmar
 filter_frame.slip("ids sorted without their landmarks", """An id stands where its landmark stands: whoever sorts the ids
     sorts landmarks and covariance with them.""",
     ("return T, landmarks, known, P", "return T, landmarks, np.sort(known), P"))
-
-
-# --- the whole filter -------------------------------------------------------------------------------------
 
 
 def renumbered(drive):
@@ -497,7 +478,7 @@ class InStage(Mistake):
 
     @functools.cached_property
     def function(self) -> Callable:
-        return assembled(**{self.stage: edited(self.base, *self.edits) if self.edits else self.base})
+        return assembled(**{self.stage: edited(self.base, *self.edits)})
 
 
 filter_run.inherited.extend(

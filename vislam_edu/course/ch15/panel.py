@@ -5,7 +5,7 @@ import numpy as np
 from ... import tracking
 from ...plots.style import COLOURS
 from ...widgets.canvas import Number, Picture
-from ..panels import add_axes
+from ..panels import add_axes, moving_line
 
 
 class PatchPicture(Picture):
@@ -38,13 +38,11 @@ class PatchPicture(Picture):
         grey = {"cmap": "gray", "vmin": self.template.min(), "vmax": self.template.max()}
         self.axes[0].imshow(self.template, **grey)
         limit = np.ptp(self.template)
-        there = self.axes[1].imshow(self.template, **grey)
-        left = self.axes[2].imshow(self.template, cmap="RdBu", vmin=-limit, vmax=limit)
-        half = tracking.HALF
-        (step,) = self.axes[2].plot([half, half], [half, half], "-o", ms=3, color=COLOURS["truth"])
+        self.there = self.moves(self.axes[1].imshow(self.template, **grey))
+        self.left = self.moves(self.axes[2].imshow(self.template, cmap="RdBu", vmin=-limit, vmax=limit))
+        self.step = moving_line(self, self.axes[2], "-o", ms=3, color=COLOURS["truth"])
         for axes in self.axes:
             axes.set_axis_off()
-        self.there, self.left, self.step = self.moves(there, left, step)
 
     def draw(self, step):
         self.there.set_data(self.seen[step - 1])

@@ -104,8 +104,7 @@ class FirstEstimates(RightPerturbation):
         """G at the pose's first estimate, its prediction, so that the new landmark turns with the others."""
         return super().inherited(self.predicted, points[:, 1])
 
-    def retract(self, world_T_imu: np.ndarray, points: np.ndarray,
-                delta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def retract(self, world_T_imu: np.ndarray, points: np.ndarray, delta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The estimates move, the first ones stay."""
         pose, moved = super().retract(world_T_imu, points[:, 0], delta)
         return pose, np.stack([moved, points[:, 1]], axis=1)

@@ -47,7 +47,6 @@ class GrowthPicture(Picture):
     controls = CONTROLS
 
     def build(self):
-        """Two curves and a moving line; four bars. Logarithmic scales, of one range."""
         scale = {"yscale": "log", "ylim": (1e-5, 1e4)}
         self.axes = add_axes(self, (0.11, 0.14, 0.47, 0.68), "", "time without a camera (s)", "σ of x (m)",
                              xlim=(0, TIMES[-1]), **scale)
@@ -76,7 +75,6 @@ class GrowthPicture(Picture):
             bar.set_height(max(sigma - 1e-5, 0.0))
 
     def caption(self, **state):
-        """Both curves at the time chosen, and the largest part."""
         parts = self.outcome(**state)[1]
         white, whole = np.linalg.norm(parts[:2]), np.linalg.norm(parts)
         largest = SOURCES[int(parts.argmax())].replace("accel.", "accelerometer")
@@ -84,6 +82,5 @@ class GrowthPicture(Picture):
                 f"with the biases. The largest part: {largest}.")
 
     def alt(self, **state):
-        """The picture in words."""
         return ("Standard deviation of the position of an IMU alone through time, two curves, and bars for what "
                 "each of four errors adds. " + self.caption(**state))

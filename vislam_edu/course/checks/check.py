@@ -63,18 +63,14 @@ class Check:
 class Checks:
     """All checks, one attribute an exercise."""
 
-    def __init__(self):
-        self._checks = {}
-
     def __getattr__(self, name) -> Check:
         if name.startswith("_"):
             raise AttributeError(name)
-        if name not in self._checks:
-            try:
-                self._checks[name] = Check(find(name))
-            except ValueError as error:
-                raise AttributeError(str(error)) from None
-        return self._checks[name]
+        try:
+            made = vars(self)[name] = Check(find(name))
+        except ValueError as error:
+            raise AttributeError(str(error)) from None
+        return made
 
     def __dir__(self):
         return list(EXERCISES)

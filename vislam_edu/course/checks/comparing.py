@@ -84,7 +84,6 @@ def _numbers(name, came, should) -> str:
 
 # --- numbers as text --------------------------------------------------------------------------------------
 
-
 def number(value, digits=4) -> str:
     return f"{value + 0.0:.{digits}g}"
 

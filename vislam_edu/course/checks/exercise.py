@@ -9,8 +9,8 @@
     so3_hat.slip("transposed", "What the student reads.", ("return np", "return -np"))
 
 The decorated function is the reference: a plain answer, as a student would write it, with the symbols of the statement.
-`mutants` changes it in one place at a time, so a line of it does one thing. A usual mistake is an edit of it, or, where
-no edit says it simply, a function of its own (`mistake`). Its signature and docstring become the student's stub.
+`mutants` changes it in one place at a time, so a line of it does one thing. A usual mistake is an edit of it. Its
+signature and docstring become the student's stub.
 """
 
 import functools
@@ -49,15 +49,15 @@ class Mistake:
     name: str
     hint: str
     base: Callable
-    edits: tuple[Edit, ...] = ()
+    edits: tuple[Edit, ...]
 
     @functools.cached_property
     def function(self) -> Callable:
-        return edited(self.base, *self.edits) if self.edits else self.base
+        return edited(self.base, *self.edits)
 
     def lines(self) -> str:
-        """The lines of the plain answer that the edits change, as a diff; "" for a function of its own."""
-        return diff(self.base, *self.edits, around=0) if self.edits else ""
+        """The lines of the plain answer that the edits change, as a diff."""
+        return diff(self.base, *self.edits, around=0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,16 +134,8 @@ class Exercise:
         """Hang a plain answer (the reference, where `of` names no other) with these edits in the museum."""
         self.mistakes.append(Mistake(name, " ".join(hint.split()), of or self.reference, edits))
 
-    def mistake(self, name: str, hint: str):
-        """Decorator that hangs a wrong version in the museum."""
-        def hang(function):
-            self.mistakes.append(Mistake(name, " ".join(hint.split()), function))
-            return function
-        return hang
 
-
-def exercise(*, chapter, cases, hints, shows, outputs=(), canonical=None, tolerance=1e-8, reading=None,
-             first=None):
+def exercise(*, chapter, cases, hints, shows, outputs=(), canonical=None, tolerance=1e-8, reading=None, first=None):
     """Decorator that makes an exercise of its reference answer and enters it under the function's name."""
     def enter(reference):
         entry = Exercise(chapter, reference, cases, tuple(" ".join(hint.split()) for hint in hints), tuple(shows),

@@ -87,25 +87,23 @@ class Search:
         outcome = outcome_of(self.exercise, function, self.cases[self.probe][1])
         if keep and outcome.values is not None:
             self.level.append((candidate, outcome.values))
-        if outcome.values is None and not self._alike(self.probe, outcome):
-            return
-        fits = [True] * len(self.expected[0]) if outcome.values is None else self._same(self.probe, outcome.values)
-        if any(fits[k] for k in self.wrong):
-            self._confirm(candidate, fits)
+        if any(self._fits(self.probe, outcome)[k] for k in self.wrong):
+            self._confirm(candidate)
 
-    def _alike(self, i, outcome) -> bool:
+    def _fits(self, i, outcome) -> list[bool]:
+        """For each result of input i, whether the student's is that of a candidate, or raised the same error."""
         error = self.outcomes[i].error
-        if error is None or isinstance(error, TypeError | NameError):
-            return False
-        return type(error) is type(outcome.error) and str(error) == str(outcome.error)  # one type has many causes
+        if outcome.values is not None and error is None:
+            return self._same(i, outcome.values)
+        alike = error is not None and not isinstance(error, TypeError | NameError) and (
+            type(error) is type(outcome.error) and str(error) == str(outcome.error))  # one type has many causes
+        return [alike] * len(self.expected[0])
 
-    def _confirm(self, candidate, fits) -> None:
+    def _confirm(self, candidate) -> None:
+        fits = [True] * len(self.expected[0])
         for i, (_, arguments) in enumerate(self.cases[:len(self.outcomes)]):
-            outcome = outcome_of(self.exercise, candidate.function, arguments)
-            if outcome.values is None or self.outcomes[i].values is None:
-                fits = [fit and self._alike(i, outcome) for fit in fits]
-            else:
-                fits = [fit and now for fit, now in zip(fits, self._same(i, outcome.values))]
+            now = self._fits(i, outcome_of(self.exercise, candidate.function, arguments))
+            fits = [fit and fits_now for fit, fits_now in zip(fits, now)]
             if not any(fits[k] for k in self.wrong):
                 return
         if all(fits):
@@ -140,16 +138,15 @@ class Search:
         shown = self.outcomes[self.probe].values
         names = self.exercise.arguments
         outputs = self.exercise.outputs
+        reference = self.exercise.reference
         for i, argument in enumerate(self.cases[self.probe][1]):
-            if isinstance(argument, np.ndarray):
-                for k in self.wrong:
-                    if shown is not None and argument.shape == shown[k].shape:
-                        self.offer(f"when `{names[i]}` is returned as it came", self._with(
-                            self.exercise.reference, k, lambda result, arguments, i=i: arguments[i]))
-                        for sign, words in ((1, "added to"), (-1, "subtracted from")):
-                            self.offer(f"with `{names[i]}` {words} the result", self._with(
-                                self.exercise.reference, k, lambda result, arguments, i=i, sign=sign:
-                                result + sign * arguments[i]))
+            for k in self.wrong:
+                if shown is not None and isinstance(argument, np.ndarray) and argument.shape == shown[k].shape:
+                    for words, change in (("when {} is returned as it came", lambda result, argument: argument),
+                                          ("with {} added to the result", np.add),
+                                          ("with {} subtracted from the result", np.subtract)):
+                        self.offer(words.format(f"`{names[i]}`"), self._with(
+                            reference, k, lambda result, arguments, i=i, change=change: change(result, arguments[i])))
         self._factors()
         for k, other in ((k, other) for k in self.wrong for other in range(len(self.expected[0])) if k != other):
             self.offer(f"with {outputs[other]} returned in place of {outputs[k]}", self._exchanged(k, other))
@@ -206,7 +203,7 @@ class Search:
     def _two(self) -> None:
         """Two mistakes at once, of which one at least is a usual one."""
         pieces = self.exercise.mistakes
-        for one, other in itertools.combinations([piece for piece in pieces if piece.edits], 2):
+        for one, other in itertools.combinations(pieces, 2):
             with contextlib.suppress(ValueError, SyntaxError):  # both edits may concern the same text
                 both = Mistake(f"{one.name}, and: {other.name}", "", one.base, one.edits + other.edits)
                 self.offer(f"with these two mistakes: {both.name}", both.function, both.lines)
@@ -214,8 +211,8 @@ class Search:
             for further, change in transforms.argument_changes(self.exercise.arguments, self.cases[self.probe][1]):
                 self.offer(f"{_piece(piece).words}, and {further}", _after(piece.function, change), _piece(piece).lines)
         for piece in pieces:
-            source = wrong_source(piece.base, *piece.edits) if piece.edits else ""
-            for mutant in mutants.of_source(source, piece.base, self.exercise.statement) if source else ():
+            source = wrong_source(piece.base, *piece.edits)
+            for mutant in mutants.of_source(source, piece.base, self.exercise.statement):
                 if mutant.kind <= _COMMON:
                     self.offer(f"{_piece(piece).words}, and {mutant.words}", mutant.function, _both(piece, mutant))
         common = [mutant for mutant in mutants.of_exercise(self.exercise) if mutant.kind < _COMMON]

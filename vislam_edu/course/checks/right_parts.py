@@ -128,14 +128,9 @@ def _where(pairs, tolerance) -> str:
         if not any(mask.any() for mask in off):
             return " on the diagonal"
         if not any(mask.diagonal().any() for mask in masks):
-            return " off the diagonal" + _side(masks)
+            above, below = (any(part(mask).any() for mask in masks) for part in (np.triu, np.tril))
+            return " off the diagonal" + (", above it" if not below else "" if above else ", below it")
     return ""
-
-
-def _side(masks) -> str:
-    if not any(np.tril(mask).any() for mask in masks):
-        return ", above it"
-    return "" if any(np.triu(mask).any() for mask in masks) else ", below it"
 
 
 def _range(masks, should, axis, what, single) -> list[str]:

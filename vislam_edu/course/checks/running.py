@@ -143,10 +143,10 @@ def outcome_of(exercise, function, arguments) -> Outcome:
     changed: tuple[str, ...] = ()
     try:
         result = function(*given)
-        if exercise.reading and not (result is None or result is ... or result is NotImplemented):
-            result = exercise.reading(_as_yielded(result) if inspect.isgenerator(result) else result)
         if result is None or result is ... or result is NotImplemented:
             return Outcome(blank=True, nothing=result is None)
+        if exercise.reading:
+            result = exercise.reading(_as_yielded(result) if inspect.isgenerator(result) else result)
         changed = tuple(name for name, before, after in zip(exercise.arguments, arguments, given)
                         if not _alike(before, after))
         values, precise, remarks = read(result, exercise.outputs)

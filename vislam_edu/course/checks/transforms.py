@@ -15,7 +15,6 @@ Change = tuple[str, Callable]
 
 # --- arguments --------------------------------------------------------------------------------------------
 
-
 def argument_changes(names: list[str], arguments: tuple) -> Iterator[tuple[str, Callable]]:
     """(words, function of all arguments that gives all arguments), for arguments that look like these."""
     for i, (name, value) in enumerate(zip(names, arguments)):
@@ -23,21 +22,17 @@ def argument_changes(names: list[str], arguments: tuple) -> Iterator[tuple[str, 
             yield words.format(f"`{name}`"), _only(i, change)
         for j in range(i):
             if _alike(value, arguments[j]):
-                yield f"with `{names[j]}` and `{name}` exchanged", _exchanged(i, j)
-                yield f"with `{names[j]}` used in place of `{name}`", _replaced(i, j)
-                yield f"with `{name}` used in place of `{names[j]}`", _replaced(j, i)
+                yield f"with `{names[j]}` and `{name}` exchanged", _replaced({i: j, j: i})
+                yield f"with `{names[j]}` used in place of `{name}`", _replaced({i: j})
+                yield f"with `{name}` used in place of `{names[j]}`", _replaced({j: i})
 
 
 def _only(i, change):
     return lambda arguments: (*arguments[:i], change(arguments[i]), *arguments[i + 1:])
 
 
-def _replaced(i, j):
-    return lambda arguments: (*arguments[:i], arguments[j], *arguments[i + 1:])
-
-
-def _exchanged(i, j):
-    return lambda arguments: tuple(arguments[{i: j, j: i}.get(k, k)] for k in range(len(arguments)))
+def _replaced(by):
+    return lambda arguments: tuple(arguments[by.get(k, k)] for k in range(len(arguments)))
 
 
 def _alike(a, b) -> bool:
@@ -107,9 +102,7 @@ _NUMBER: list[Change] = [
     ("with {} converted from degrees to radians", np.radians), ("with 1 - {0} in place of {0}", lambda x: 1 - x),
     ("with 2 * {0} - 1 in place of {0}", lambda x: 2 * x - 1),
 ]
-_MASK: list[Change] = [
-    ("with {} ignored (all True)", np.ones_like),
-    ("with {} turned round", np.logical_not)]
+_MASK: list[Change] = [("with {} ignored (all True)", np.ones_like), ("with {} turned round", np.logical_not)]
 _IDS: list[Change] = [
     ("with {} ignored (0, 1, 2, ... in its place)", lambda x: np.arange(len(x))), ("with {} sorted", np.sort)]
 _CALIBRATION: list[Change] = [
@@ -161,7 +154,6 @@ _COVARIANCE: list[Change] = [
 ]
 
 # --- results ----------------------------------------------------------------------------------------------
-
 
 def result_changes(value: np.ndarray) -> Iterator[Change]:
     """(words, function of one result), for a result of this shape."""

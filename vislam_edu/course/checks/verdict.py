@@ -192,19 +192,16 @@ def _remarks(outcomes) -> str:
 
 
 def _blank(exercise, is_written, outcomes) -> Verdict:
-    if outcomes[-1].calls:
-        return Verdict(exercise.name, NOT_WRITTEN,
-                       f"{exercise.name}: it calls {outcomes[-1].calls}, which is not written yet")
-    if is_written and outcomes[-1].nothing:
-        return Verdict(exercise.name, WRONG, f"{exercise.name}: your function returned nothing on input "
-                                             f"{len(outcomes)}: is `return` missing?")
-    if is_written and len(outcomes) == 1:
-        return Verdict(exercise.name, NOT_WRITTEN, f"{exercise.name}: the line `raise NotImplementedError` is still "
-                                                   "there, and nothing below it is run: delete it")
-    if len(outcomes) == 1:
-        return Verdict(exercise.name, NOT_WRITTEN, f"{exercise.name}: not written yet")
-    return Verdict(exercise.name, NOT_WRITTEN, f"{exercise.name}: not written yet for every input: input "
-                                               f"{len(outcomes)} gave None or NotImplementedError")
+    n, last, status, text = len(outcomes), outcomes[-1], NOT_WRITTEN, "not written yet"
+    if last.calls:
+        text = f"it calls {last.calls}, which is not written yet"
+    elif is_written and last.nothing:
+        status, text = WRONG, f"your function returned nothing on input {n}: is `return` missing?"
+    elif is_written and n == 1:
+        text = "the line `raise NotImplementedError` is still there, and nothing below it is run: delete it"
+    elif n > 1:
+        text = f"not written yet for every input: input {n} gave None or NotImplementedError"
+    return Verdict(exercise.name, status, f"{exercise.name}: {text}")
 
 
 def _too_slow(exercise, case, ended, limit) -> Verdict:

@@ -74,15 +74,12 @@ def _report(arguments) -> None:
         raise OptionError(f"exercises --for {arguments.system}: --roster names the file with the students' ids")
     chosen = _sandbox(arguments) if arguments.sandbox else None
     with files.made_folder(arguments.out):
-        _written(arguments, people, worth, chosen)
-
-
-def _written(arguments, people, worth, chosen) -> None:
-    submissions = collecting.graded(arguments.report, arguments.out, arguments.limit, arguments.jobs, chosen)
-    report.write(submissions, arguments.out)
-    rows, worth = points.rows(submissions, people, worth, arguments.due, arguments.late, arguments.several == "best")
-    written = points.write(rows, worth, arguments.out, arguments.system, arguments.assignment)
-    (arguments.out / collecting.KEPT).unlink()
+        submissions = collecting.graded(arguments.report, arguments.out, arguments.limit, arguments.jobs, chosen)
+        report.write(submissions, arguments.out)
+        rows, worth = points.rows(submissions, people, worth, arguments.due, arguments.late,
+                                  arguments.several == "best")
+        written = points.write(rows, worth, arguments.out, arguments.system, arguments.assignment)
+        (arguments.out / collecting.KEPT).unlink()
     say(report.table(submissions) + "\n\n" + report.summary(submissions))
     say(f"written to {arguments.out}: exercises.csv, exercises.json, matrix.csv, {', '.join(written)}, similar.csv, "
           "summary.txt, feedback")
@@ -91,7 +88,4 @@ def _written(arguments, people, worth, chosen) -> None:
 def _sandbox(arguments) -> sandbox.Sandbox:
     folder = arguments.report if arguments.report.is_dir() else arguments.report.parent
     with tempfile.TemporaryDirectory(prefix="vislam_edu-") as scratch:
-        try:
-            return sandbox.find(folder.resolve(), Path(scratch), arguments.image)
-        except sandbox.SandboxError as error:
-            raise OptionError(f"exercises --sandbox: {error}") from None
+        return sandbox.find(folder.resolve(), Path(scratch), arguments.image)

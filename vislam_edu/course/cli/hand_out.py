@@ -1,9 +1,7 @@
 """`hand-out`: a folder for students, notebooks with empty stubs and nothing of the teacher's, or one with answers."""
 
-import warnings
 from pathlib import Path
 
-from ...cli import say
 from ...recordings import shipped
 from .start import COPIED, copy_notebooks
 
@@ -14,7 +12,7 @@ def add_arguments(parser):
                         help="students (default): empty stubs, nothing of the teacher's; teachers: the stubs hold "
                              "answers, and docs/instructor.md and docs/teaching.md of a clone are there too. Both: "
                              "notebooks, drives, docs/notation.md, docs/reading.md")
-    parser.add_argument("--chapters", nargs="+", metavar="NN", help="two digits each (default: all)")
+    parser.add_argument("--chapters", nargs="+", metavar="NN", help="as their files begin, 08b for one (default: all)")
     parser.add_argument("--keep-outputs", action="store_true",
                         help="leave what the cells print and draw, which answers the questions before them")
 
@@ -28,9 +26,7 @@ def run(arguments) -> int:
     missing = [chapter for chapter in chapters if not list(shipped.ROOT.glob(f"notebooks/{chapter}_*.ipynb"))]
     if missing:
         raise FileNotFoundError(2, "there is no notebook of this chapter", missing[0])
-    copied, kept = copy_notebooks(arguments.folder, patterns,
-                                  lambda path: _cleared(path, arguments.keep_outputs, teachers))
-    say(f"{arguments.folder}: {copied} files copied" + (f", {kept} were there and stay as they are" if kept else ""))
+    copy_notebooks(arguments.folder, patterns, lambda path: _cleared(path, arguments.keep_outputs, teachers))
     return 0
 
 
@@ -56,5 +52,4 @@ def _cleared(path: Path, keep_outputs: bool, answers: bool = False) -> bytes:
         for cell in notebook.cells:
             if cell.cell_type == "code":
                 cell.outputs, cell.execution_count = [], None
-    with warnings.catch_warnings(action="ignore"):  # about cells without ids
-        return (nbformat.writes(notebook).rstrip() + "\n").encode()
+    return (nbformat.writes(notebook).rstrip() + "\n").encode()

@@ -26,8 +26,7 @@ def run(arguments) -> int:
     """Copies, says what it did, and opens JupyterLab on chapter 00 unless asked not to."""
     if not arguments.no_open and find_spec("jupyterlab") is None:
         raise OptionError("JupyterLab is not installed: python -m pip install jupyterlab ipykernel (or --no-open)")
-    copied, kept = copy_notebooks(arguments.folder)
-    say(f"{arguments.folder}: {copied} files copied" + (f", {kept} were there and stay as they are" if kept else ""))
+    copy_notebooks(arguments.folder)
     first = arguments.folder / "notebooks" / FIRST
     if arguments.no_open:
         return 0
@@ -44,10 +43,10 @@ def to_start_with(path: Path) -> bytes:
 
 
 def copy_notebooks(folder: Path, patterns: Iterable[str] = COPIED,
-                   content: Callable[[Path], bytes] = to_start_with) -> tuple[int, int]:
-    """Copy the notebooks, their images and pages into a folder; a file that is there is never written over.
+                   content: Callable[[Path], bytes] = to_start_with) -> None:
+    """Copy the notebooks, their images and pages into a folder, never over a file that is there, and say how many.
 
-    patterns : of what is copied. content : what is written of a file. Returns how many were copied, how many there.
+    patterns : of what is copied. content : what is written of a file.
     """
     copied = kept = 0
     for path in (path for pattern in patterns for path in sorted(shipped.ROOT.glob(pattern))):
@@ -59,4 +58,4 @@ def copy_notebooks(folder: Path, patterns: Iterable[str] = COPIED,
         with files.replacing(target) as file:
             file.write(content(path))
         copied += 1
-    return copied, kept
+    say(f"{folder}: {copied} files copied" + (f", {kept} were there and stay as they are" if kept else ""))

@@ -10,7 +10,6 @@ healthy patients read in them, are in `clinic_tests`. Whoever reads the source c
 (`examination`) takes a secret key, and shows readings only.
 """
 
-import textwrap
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
@@ -19,9 +18,9 @@ import numpy as np
 from scipy import stats
 
 from ...belief import Step
-from ...plots.text import PAGE
+from ...plots.text import on_a_page
 from . import clinic_tests
-from .clinic_tests import CLEARED_TOGETHER, TESTS, Readings, bands, read
+from .clinic_tests import CLEARED_TOGETHER, TESTS, Readings, bands, outside, read
 from .patients import FAULTS, HEALTHY, KINDS, PIECES, Build, Drawn, draw, stream
 
 BUDGETS = {1: 11, 2: 8, 3: 12}
@@ -123,7 +122,7 @@ class Patient:
 
     def abnormal(self, name: str) -> list[str]:
         """The readings of an ordered test that are outside their bands."""
-        return [key for key, value in self.readings[name].items() if not bands()[name][key].holds(value)]
+        return outside(name, self.readings[name])
 
     @property
     def left(self) -> list[str]:
@@ -144,7 +143,7 @@ class Patient:
                 low, high = bands()[name][key].limits
                 mark = "" if low <= value <= high else "   <"
                 lines.append(f"  {key:50}{_number(value):>9}   {_number(low)} to {_number(high)}{mark}")
-        return "\n".join([*lines, _wrapped(f"suspects left: {', '.join(self.left)}"), f"budget left: {self.budget}"])
+        return "\n".join([*lines, on_a_page(f"suspects left: {', '.join(self.left)}"), f"budget left: {self.budget}"])
 
     def answer(self, piece: str | tuple[str, ...], kind: str | tuple[str, ...], evidence: str | tuple[str, ...] = "",
                cure: Mapping[str, Any] | None = None) -> Score:
@@ -170,10 +169,6 @@ class Patient:
 
 def _tuple(value) -> tuple[str, ...]:
     return (value,) if isinstance(value, str) else tuple(value)
-
-
-def _wrapped(text) -> str:
-    return textwrap.fill(text, PAGE, subsequent_indent="  ")
 
 
 def _number(value) -> str:
@@ -211,10 +206,6 @@ def evident(name: str, examine: Callable[[str, int], Readings]) -> bool:
     """Whether a test separates a patient from healthy ones on fresh seeds, in any of its readings."""
     fresh = [examine(name, i) for i in range(1, FRESH + 1)]
     return any(separates(name, key, [one[key] for one in fresh]) for key in fresh[0])
-
-
-def _in_bands(name: str, readings: Readings) -> bool:
-    return all(bands()[name][key].holds(value) for key, value in readings.items())
 
 
 def _score(patient: Patient, drawn: Drawn, examine, findings, evidence, cure) -> Score:
@@ -268,8 +259,8 @@ def _cure(drawn: Drawn, cure: Mapping[str, Any], evidence: list[str], remarks: l
     """3 points: every bench in its bands; the evidence back in its band; RMSE and sigma no worse than healthy."""
     build = replace(drawn.build, **cure)
     seed = drawn.seed + 77
-    benches = all(_in_bands(name, read(name, build, seed)) for name, test in TESTS.items() if test.bench)
-    back = bool(evidence) and all(_in_bands(name, read(name, build, seed)) for name in evidence)
+    benches = not any(outside(name, read(name, build, seed)) for name, test in TESTS.items() if test.bench)
+    back = bool(evidence) and not any(outside(name, read(name, build, seed)) for name in evidence)
     rmse, sigma = _rmse_and_sigma(build, seed)
     healthy = _rmse_and_sigma(Build(), seed)
     no_worse = rmse <= WORSE * healthy[0] and healthy[1] / WORSE <= sigma <= WORSE * healthy[1]

@@ -54,6 +54,10 @@ KINDS = {
     "outliers": "some values have nothing to do with the truth",
     HEALTHY: "no piece is wrong",
 }
+SEEN_BY = {"camera Jacobian": ("H",), "triangulation": ("birth",), "landmark Jacobian": ("H",), "pose Jacobian": ("H",),
+           "correction": ("update",), "predicted pose": ("predict",), "predicted covariance": ("predict",),
+           "new landmarks": ("birth",), "covariance after the update": ("standing still", "update"),
+           "noise values": ("predict",), "IMU": ("recording",), "tracks": ("recording",), "extrinsics": ("recording",)}
 
 
 def unchanged(value: Any) -> Any:
@@ -88,7 +92,7 @@ class Fault:
     """One fault. piece, kind : the answer; also : further answers that no test can tell apart.
 
     changes : severity -> {seam of `Build`: what stands there}. severities : one is drawn.
-    levels : in which it is drawn. seen_by : the tests of `clinic.TESTS` that separate it from healthy patients.
+    levels : in which it is drawn. tests : see `seen_by`, where they are not those of its piece.
     """
 
     piece: str
@@ -97,12 +101,17 @@ class Fault:
     severities: tuple[float, ...] = (1.0,)
     levels: tuple[int, ...] = (1, 2, 3)
     also: tuple[tuple[str, str], ...] = ()
-    seen_by: tuple[str, ...] = ()
+    tests: tuple[str, ...] = ()
 
     @property
     def answers(self) -> tuple[tuple[str, str], ...]:
         """(piece, kind) pairs that count as right."""
         return ((self.piece, self.kind), *self.also)
+
+    @property
+    def seen_by(self) -> tuple[str, ...]:
+        """The tests of `clinic.TESTS` that separate it from healthy patients."""
+        return self.tests or SEEN_BY.get(self.piece, ())
 
 
 # --- pieces that are wrong, beyond those of chapter 10 ---------------------------------------------------------
@@ -161,36 +170,15 @@ def births_first(prior, ids, pixels, settings):
 
 # --- recordings that are wrong --------------------------------------------------------------------------------
 
-def _recording(change):
-    return {"recording": change}
+def _recorded(change, *arguments, **options):
+    return {"recording": lambda drive: change(drive, *arguments, **options)}
 
 
-def _scaled_speed(factor):
-    return _recording(lambda drive: drive.replace(twists=drive.twists * np.repeat([factor, 1], 3)))
-
-
-def _noisy_gyro(factor):
-    def noisier(drive):
-        sigma = (factor**2 - 1) ** 0.5 * Noise().sigma_omega
-        extra = sigma * np.random.default_rng(drive.n_landmarks).normal(size=(drive.n_frames, 3))
-        return drive.replace(twists=drive.twists + np.hstack([np.zeros_like(extra), extra]))
-    return _recording(noisier)
-
-
-def _row_offset(px):
-    return _recording(lambda drive: drive.replace(pixels=drive.pixels + np.array([0, 0, 0, px])))
-
-
-def _late(samples):
-    return _recording(lambda drive: recording_faults.delay_imu(drive, round(samples)))
-
-
-def _bias(size):
-    return _recording(lambda drive: recording_faults.add_gyro_bias(drive, [0, 0, size]))
-
-
-def _outliers(share):
-    return _recording(lambda drive: recording_faults.outlier_tracks(drive, share, seed=1))
+def _noisier_gyro(drive, factor):
+    extra = np.zeros((drive.n_frames, 6))
+    extra[:, 3:] = (factor**2 - 1) ** 0.5 * Noise().sigma_omega * np.random.default_rng(drive.n_landmarks).normal(
+        size=(drive.n_frames, 3))
+    return drive.replace(twists=drive.twists + extra)
 
 
 def _fixed(changes):
@@ -206,67 +194,63 @@ def _model(motion_model):
 
 
 _HAT = "J @ se3.so3_hat(s)"
+_OR_NOISE = (("noise values", "factor"), ("noise values", "noise"))  # what reads like a factor of W
+_OR_W = (("noise values", "factor"), ("predicted covariance", "factor"))  # like a wrong sigma of the IMU
 
 FAULTS: dict[str, Fault] = {
     HEALTHY: Fault(HEALTHY, HEALTHY, _fixed({}), levels=(2, 3)),
     "births first": Fault(HEALTHY, HEALTHY, _frame(births_first), levels=(2, 3)),
-    "depth": Fault("camera Jacobian", "factor", _fixed(_camera(ch10.NotDividedByDepth)), seen_by=("H",)),
-    "bearings": Fault("triangulation", "units", _fixed(_camera(ch10.PixelsAsBearings)), seen_by=("birth",)),
-    "extrinsics": Fault("pose Jacobian", "frame", _fixed({"error_state": ch10.WithoutExtrinsics}), seen_by=("H",)),
-    "sign": Fault("pose Jacobian", "sign", _fixed(_state(ch10.SignFlipped)), seen_by=("H",)),
-    "rotation sign": Fault("pose Jacobian", "sign", _fixed(_error("jacobians", (_HAT, f"-{_HAT}"))), seen_by=("H",)),
-    "position sign": Fault("pose Jacobian", "sign", _fixed(_error("jacobians", ("[-J,", "[J,"))), seen_by=("H",)),
+    "depth": Fault("camera Jacobian", "factor", _fixed(_camera(ch10.NotDividedByDepth))),
+    "bearings": Fault("triangulation", "units", _fixed(_camera(ch10.PixelsAsBearings))),
+    "extrinsics": Fault("pose Jacobian", "frame", _fixed({"error_state": ch10.WithoutExtrinsics})),
+    "sign": Fault("pose Jacobian", "sign", _fixed(_state(ch10.SignFlipped))),
+    "rotation sign": Fault("pose Jacobian", "sign", _fixed(_error("jacobians", (_HAT, f"-{_HAT}")))),
+    "position sign": Fault("pose Jacobian", "sign", _fixed(_error("jacobians", ("[-J,", "[J,")))),
     "rotation factor": Fault("pose Jacobian", "factor", lambda s: _error("jacobians", (_HAT, f"{s} * {_HAT}")),
-                             (0.5, 2.0), seen_by=("H",)),
-    "landmark transposed": Fault("landmark Jacobian", "transpose",
-                                 _fixed(_error("jacobians", (":3].T", ":3]"))), seen_by=("H",)),
-    "world": Fault("correction", "frame", _fixed(_state(ch10.WorldCorrection)), seen_by=("update",)),
-    "copy": Fault("correction", "missing", _fixed(_state(ch10.LandmarksOnACopy)), seen_by=("update",)),
-    "order": Fault("correction", "order", _fixed(_state(ch10.GroupedOrder)), seen_by=("update",)),
-    "gain": Fault("correction", "factor", _gain, (0.4, 1.6), seen_by=("update",)),
-    "never": Fault("covariance after the update", "missing", _frame(ch10.without_cross_covariance),
-                   seen_by=("standing still", "update")),
-    "cross": Fault("predicted covariance", "missing", _model(ch10.CrossNotPropagated), levels=(2, 3),
-                   seen_by=("predict",)),
-    "F transposed": Fault("predicted covariance", "sign", _fixed(_transition("se3.adjoint(increment)")),
-                          seen_by=("predict",)),
-    "F left out": Fault("predicted covariance", "missing", _fixed(_transition("np.eye(6)")), levels=(2, 3),
-                        seen_by=("predict",)),
-    "tau": Fault("predicted covariance", "factor", _model(ch10.NoiseWithoutTau),
-                 also=(("noise values", "factor"), ("noise values", "noise")), seen_by=("predict",)),
-    "W doubled": Fault("predicted covariance", "factor", _model(_DoubledW), levels=(2, 3),
-                       also=(("noise values", "factor"), ("noise values", "noise")), seen_by=("predict",)),
-    "swapped": Fault("predicted pose", "order", _model(ch10.SwappedTwist), seen_by=("predict",)),
-    "degrees": Fault("predicted pose", "units", _model(ch10.Degrees), seen_by=("predict",)),
-    "moved in the world": Fault("predicted pose", "frame", _model(_MovedInTheWorld), seen_by=("predict",)),
-    "next sample": Fault("predicted pose", "timing", _model(_NextSample), levels=(3,), also=(("IMU", "timing"),),
-                         seen_by=("predict",)),
-    "birth": Fault("new landmarks", "missing", _frame(ch10.born_uncorrelated), seen_by=("birth",)),
-    "twice": Fault("new landmarks", "counted twice", _frame(ch10.used_twice), levels=(2, 3), seen_by=("birth",)),
-    "prior": Fault("new landmarks", "missing", _frame(window_slam.as_report), seen_by=("birth",)),
-    "birth sign": Fault("new landmarks", "sign", _fixed(_error("birth", ("-R @", "R @"))), seen_by=("birth",)),
+                             (0.5, 2.0)),
+    "landmark transposed": Fault("landmark Jacobian", "transpose", _fixed(_error("jacobians", (":3].T", ":3]")))),
+    "world": Fault("correction", "frame", _fixed(_state(ch10.WorldCorrection))),
+    "copy": Fault("correction", "missing", _fixed(_state(ch10.LandmarksOnACopy))),
+    "order": Fault("correction", "order", _fixed(_state(ch10.GroupedOrder))),
+    "gain": Fault("correction", "factor", _gain, (0.4, 1.6)),
+    "never": Fault("covariance after the update", "missing", _frame(ch10.without_cross_covariance)),
+    "cross": Fault("predicted covariance", "missing", _model(ch10.CrossNotPropagated), levels=(2, 3)),
+    "F transposed": Fault("predicted covariance", "sign", _fixed(_transition("se3.adjoint(increment)"))),
+    "F left out": Fault("predicted covariance", "missing", _fixed(_transition("np.eye(6)")), levels=(2, 3)),
+    "tau": Fault("predicted covariance", "factor", _model(ch10.NoiseWithoutTau), also=_OR_NOISE),
+    "W doubled": Fault("predicted covariance", "factor", _model(_DoubledW), levels=(2, 3), also=_OR_NOISE),
+    "swapped": Fault("predicted pose", "order", _model(ch10.SwappedTwist)),
+    "degrees": Fault("predicted pose", "units", _model(ch10.Degrees)),
+    "moved in the world": Fault("predicted pose", "frame", _model(_MovedInTheWorld)),
+    "next sample": Fault("predicted pose", "timing", _model(_NextSample), levels=(3,), also=(("IMU", "timing"),)),
+    "birth": Fault("new landmarks", "missing", _frame(ch10.born_uncorrelated)),
+    "twice": Fault("new landmarks", "counted twice", _frame(ch10.used_twice), levels=(2, 3)),
+    "prior": Fault("new landmarks", "missing", _frame(window_slam.as_report)),
+    "birth sign": Fault("new landmarks", "sign", _fixed(_error("birth", ("-R @", "R @")))),
     "birth not turned": Fault("new landmarks", "frame",
-                              _fixed(_error("birth", ("axis=-1), R", "axis=-1), np.eye(3)"))), seen_by=("birth",)),
-    "sigma_px": Fault("noise values", "noise", lambda s: _noise(sigma_px=s), (0.5, 1.6, 2.5), seen_by=("birth",),
+                              _fixed(_error("birth", ("axis=-1), R", "axis=-1), np.eye(3)")))),
+    "sigma_px": Fault("noise values", "noise", lambda s: _noise(sigma_px=s), (0.5, 1.6, 2.5), tests=("birth",),
                       also=(("noise values", "factor"),)),
-    "sigma_v": Fault("noise values", "noise", lambda s: _noise(sigma_v=s), (0.3, 2.5, 5.0), levels=(2, 3),
-                     also=(("noise values", "factor"), ("predicted covariance", "factor")), seen_by=("predict",)),
+    "sigma_v": Fault("noise values", "noise", lambda s: _noise(sigma_v=s), (0.3, 2.5, 5.0), levels=(2, 3), also=_OR_W),
     "sigma_omega": Fault("noise values", "noise", lambda s: _noise(sigma_omega=s), (0.3, 2.5, 5.0), levels=(2, 3),
-                         also=(("noise values", "factor"), ("predicted covariance", "factor")), seen_by=("predict",)),
-    "both sigmas": Fault("noise values", "noise", lambda s: _noise(sigma_v=s, sigma_omega=s), (10.0,),
-                         also=(("noise values", "factor"), ("predicted covariance", "factor")), seen_by=("predict",)),
-    "gyro bias": Fault("IMU", "offset", _bias, (0.08, -0.08, 0.12), seen_by=("recording",)),
-    "late": Fault("IMU", "timing", _late, (3.0, 5.0), levels=(3,), seen_by=("recording",)),
-    "speed": Fault("IMU", "factor", _scaled_speed, (0.8, 1.25), seen_by=("recording",)),
-    "noisy gyro": Fault("IMU", "noise", _noisy_gyro, (3.0, 4.0), levels=(3,), seen_by=("recording",)),
-    "flipped": Fault("extrinsics", "sign", _fixed(_recording(recording_faults.flip_imu_axes)), seen_by=("recording",)),
-    "outliers": Fault("tracks", "outliers", _outliers, (0.25, 0.4), seen_by=("recording",)),
-    "copies": Fault("tracks", "timing", _fixed(_recording(recording_faults.copy_frames)), levels=(3,),
-                    seen_by=("recording",)),
-    "rows": Fault("tracks", "offset", _row_offset, (2.0, -3.0), seen_by=("recording",)),
+                         also=_OR_W),
+    "both sigmas": Fault("noise values", "noise", lambda s: _noise(sigma_v=s, sigma_omega=s), (10.0,), also=_OR_W),
+    "gyro bias": Fault("IMU", "offset", lambda size: _recorded(recording_faults.add_gyro_bias, [0, 0, size]),
+                       (0.08, -0.08, 0.12)),
+    "late": Fault("IMU", "timing", lambda samples: _recorded(recording_faults.delay_imu, round(samples)), (3.0, 5.0),
+                  levels=(3,)),
+    "speed": Fault("IMU", "factor",
+                   lambda s: _recorded(lambda drive: drive.replace(twists=drive.twists * np.repeat([s, 1], 3))),
+                   (0.8, 1.25)),
+    "noisy gyro": Fault("IMU", "noise", lambda factor: _recorded(_noisier_gyro, factor), (3.0, 4.0), levels=(3,)),
+    "flipped": Fault("extrinsics", "sign", _fixed(_recorded(recording_faults.flip_imu_axes))),
+    "outliers": Fault("tracks", "outliers", lambda share: _recorded(recording_faults.outlier_tracks, share, seed=1),
+                      (0.25, 0.4)),
+    "copies": Fault("tracks", "timing", _fixed(_recorded(recording_faults.copy_frames)), levels=(3,)),
+    "rows": Fault("tracks", "offset",
+                  lambda px: _recorded(lambda drive: drive.replace(pixels=drive.pixels + np.array([0, 0, 0, px]))),
+                  (2.0, -3.0)),
 }
-
-
 
 
 # --- drawing --------------------------------------------------------------------------------------------------

@@ -21,21 +21,15 @@ _MARK = "BEGIN SOLUTION"
 _STUB_OR_CHECK = re.compile(r"^(?:def (\w+)\(|(?:from vislam_edu\.course\.exercises import check\s+)?check\.(\w+)\()")
 
 
-def source(exercise: Exercise) -> tuple[str, str]:
-    """The text of the stub cell and of the check cell."""
-    name = exercise.name
-    return exercise.stub.rstrip(), f"from vislam_edu.course.exercises import check\n\ncheck.{name}({name})"
-
-
 def pair(exercise: Exercise) -> list:
     """The stub cell and the check cell as notebook nodes, their ids made of the exercise's name."""
     from nbformat import v4
 
     name = exercise.name
-    stub, test = source(exercise)
+    test = f"from vislam_edu.course.exercises import check\n\ncheck.{name}({name})"
     common = {"schema_version": 3, "task": False}
     return [
-        v4.new_code_cell(stub, id=name.replace("_", "-"), metadata={"nbgrader": common | {
+        v4.new_code_cell(exercise.stub.rstrip(), id=name.replace("_", "-"), metadata={"nbgrader": common | {
             "grade": False, "grade_id": name, "locked": False, "solution": True}}),
         v4.new_code_cell(test, id="check-" + name.replace("_", "-"), metadata={"nbgrader": common | {
             "grade": True, "grade_id": f"check_{name}", "locked": True, "points": POINTS, "solution": False}}),

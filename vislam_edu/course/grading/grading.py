@@ -273,7 +273,7 @@ def _result(exercise, entry, cells) -> Result:
         verdict = judge(exercise, None)
     else:
         try:
-            verdict = concluded(exercise, submission.received(entry["attempt"]))
+            verdict = concluded(exercise, submission.received(entry["attempt"], exercise))
         except Exception as error:  # arrays of numbers can still be such that mathematics fails on them
             return Result(exercise.name, NO_VERDICT, detail=f"not judged: {shown(error)}")
     if verdict.right:

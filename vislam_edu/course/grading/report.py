@@ -18,6 +18,7 @@ from .grading import Result, Submission
 from .points import file_name
 
 _COLUMNS = (RIGHT, grading.BORROWED, WRONG, NOT_WRITTEN, grading.NO_VERDICT, grading.MISSING)
+_FAILED = (WRONG, grading.BORROWED, grading.NO_VERDICT)
 _FREQUENT = 10  # mistakes that the summary names
 _EQUAL = 2  # equal answers of two students that the summary names; one alone can be chance
 
@@ -54,17 +55,14 @@ def summary(submissions: Sequence[Submission]) -> str:
             mistakes[result.exercise, result.mistake] += 1
     lines = [f"{'exercise':30}" + "".join(f"{column:>17}" for column in _COLUMNS)]
     lines += [f"{name:30}" + "".join(f"{counts[name][column]:>17}" for column in _COLUMNS)
-              for name in sorted(counts, key=lambda name: (-_failed(counts[name]), list(EXERCISES).index(name)))]
+              for name in sorted(counts, key=lambda name: (
+                  -sum(counts[name][status] for status in _FAILED), list(EXERCISES).index(name)))]
     lines += ["", "most frequent mistakes"] if mistakes else []
     lines += [f"{count:5}  {name}: {mistake}" for (name, mistake), count in mistakes.most_common(_FREQUENT)]
     reasons = read_these(submissions)
     lines += ["", "read these"] if reasons else []
     lines += [f"  {shown(name)}: {reason}" for name, reason in reasons]
     return "\n".join(lines)
-
-
-def _failed(counts: Counter) -> int:
-    return counts[WRONG] + counts[grading.BORROWED] + counts[grading.NO_VERDICT]
 
 
 def read_these(submissions: Iterable[Submission]) -> list[tuple[str, str]]:

@@ -7,12 +7,10 @@ import sys
 from dataclasses import dataclass
 from pathlib import Path
 
+from ...cli.arguments import OptionError
+
 IMAGE = "vislam_edu"  # for podman and docker, which need one with this package installed
 _PROBE = ["-c", "import vislam_edu.course.exercises, IPython"]
-
-
-class SandboxError(ValueError):
-    """There is no sandbox that works here; the message says what was tried."""
 
 
 @dataclass(frozen=True)
@@ -57,7 +55,7 @@ class Sandbox:
 
 
 def find(folder: Path, scratch: Path, image: str = IMAGE) -> Sandbox:
-    """The first sandbox in which this package can be imported, tried with these folders. Raises SandboxError."""
+    """The first sandbox in which this package can be imported, tried with these folders. Raises OptionError."""
     problems = []
     for program in ("bwrap", "podman", "docker"):
         if shutil.which(program) is None:
@@ -70,4 +68,4 @@ def find(folder: Path, scratch: Path, image: str = IMAGE) -> Sandbox:
             return sandbox
         lines = done.stderr.strip().splitlines() or ["it fails without a word"]
         problems.append(f"{program}: {lines[-1]}")
-    raise SandboxError("no sandbox works here (" + "; ".join(problems) + ")")
+    raise OptionError("exercises --sandbox: no sandbox works here (" + "; ".join(problems) + ")")

@@ -21,6 +21,7 @@ import numpy as np
 
 from ..ch13 import capstone
 from ..checks import surroundings
+from ..checks.exercise import Exercise
 from ..checks.running import Outcome, Unreadable, error_message
 from ..checks.verdict import Attempt, attempt
 from ..exercises import EXERCISES
@@ -166,13 +167,16 @@ def _sent(outcome: Outcome) -> dict:
         "error": error and [type(error).__name__, _words(error), error_message(error)]}
 
 
-def received(content: dict) -> Attempt:
+def received(content: dict, exercise: Exercise) -> Attempt:
     """The attempt that `tried` has sent."""
-    return Attempt(**content | {"outcomes": list(map(_outcome, content["outcomes"]))})
+    results = len(exercise.outputs) or 1
+    return Attempt(**content | {"outcomes": [_outcome(outcome, results) for outcome in content["outcomes"]]})
 
 
-def _outcome(content) -> Outcome:
+def _outcome(content, results) -> Outcome:
     values, error = content["values"], content["error"]
+    if values is not None and len(values) != results:  # the notebook has changed what sends them
+        error, values = [Unreadable.__name__, *2 * [f"{len(values)} results came, not {results}"]], None
     return Outcome(**content | {
         "values": values and [np.frombuffer(bytes.fromhex(numbers)).reshape(shape) for shape, numbers in values],
         "error": error and _raised(*error), "changed": tuple(content["changed"]),
