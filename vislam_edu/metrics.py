@@ -146,9 +146,8 @@ def pose_nees(error_state: ErrorState, true_world_T_imu: np.ndarray, world_T_imu
     """NEES of a pose, the error measured in the coordinates in which the filter's covariance is expressed.
 
     error_state : `ErrorState`; its `pose_difference` is the error, [position, rotation].
-    true_world_T_imu, world_T_imu : (..., 4, 4). covariance : (..., 6, 6) of that error.
-    A covariance of one error put beside an error of the other kind gives a number that means nothing.
-    NaN where the true pose is NaN.
+    true_world_T_imu, world_T_imu : (..., 4, 4). covariance : (..., 6, 6) of that error. A covariance of one error put
+    beside an error of the other kind gives a number that means nothing. NaN where the true pose is NaN.
     """
     error = np.asarray(error_state.pose_difference(true_world_T_imu, world_T_imu))
     covariance = np.asarray(covariance)
