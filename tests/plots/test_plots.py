@@ -510,7 +510,7 @@ def test_inset_has_an_arrow_for_each_landmark_that_moved_there(result, name, bef
 def test_moves_too_long_for_an_inset_are_arrows_on_the_map(result):
     mapped, shift = result.mapped.map, np.array([30.0, 10.0, 0.0])
     far = replace(result.slam, map=replace(mapped, landmarks=mapped.landmarks + shift))
-    axes = report_figures.all_landmarks(replace(result, slam=far)).axes[0]
+    axes = report_figures.all_landmarks(result.drive, result.dead_reckoning, result.initial, result.mapped, far).axes[0]
     [arrows] = [c for c in axes.collections if isinstance(c, Quiver)]
     assert not axes.child_axes
     np.testing.assert_allclose(np.column_stack([arrows.U, arrows.V]), np.tile(shift[:2], (len(arrows.U), 1)))
