@@ -2,7 +2,7 @@
 
 Of a notebook only the cells with a slider or an explorer are shown and run, with what they need of the cells above
 them: the others hold text and still pictures, which `--nbval` compares without a browser, in a new kernel for each
-notebook; here one kernel serves all. Four notebooks have a panel and an explorer of each kind between them;
+notebook; here one kernel serves all. Three notebooks have a panel and an explorer of each kind between them;
 VISLAM_EDU_WHOLE=1 takes every notebook, and shows and runs all cells.
 
 Needs Chromium (or Chrome; set CHROMIUM to its path if it is not found). Screenshots are left in screenshots/.
@@ -23,7 +23,7 @@ from notebooks import WIDGET_VIEW
 
 ROOT = Path(__file__).resolve().parents[2]
 NOTEBOOKS = [path for path in sorted((ROOT / "notebooks").glob("*.ipynb"))
-             if WHOLE or path.stem[:2] in ("03", "05", "10", "12")]
+             if WHOLE or path.stem[:2] in ("03", "05", "10")]
 pytestmark = NO_CHROMIUM
 
 # The notebook's own indicator says idle before the kernel exists, and what is run then is lost.
