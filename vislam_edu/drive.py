@@ -1,8 +1,7 @@
 """`Drive`: one recording of a vehicle with an IMU and a stereo camera.
 
-A drive holds what was measured (body twists and the pixels of tracked landmarks), the calibration, and the
-truth where there is one. It is not a filter's state and knows nothing about estimation. `recordings` reads
-and writes it.
+A drive holds what was measured (body twists and the pixels of tracked landmarks), the calibration, and the truth where
+there is one. It is not a filter's state and knows nothing about estimation. `recordings` reads and writes it.
 
 A landmark is in view in a dozen of a thousand frames, so the dense (4, M, T) array of the course's files is
 almost empty (dataset 10: 1.3 GB). Inside, only what was seen is kept: one row per observation, by frame.

@@ -88,11 +88,9 @@ class State:
     accelerometer_bias: np.ndarray
 
     @classmethod
-    def at_rest(cls, gyro_bias: np.ndarray | None = None, accelerometer_bias: np.ndarray | None = None) -> State:
-        """At the origin, upright, without velocity; biases zero where none are given."""
-        zero = np.zeros(3)
-        return cls(np.eye(3), zero, zero, zero if gyro_bias is None else gyro_bias,
-                   zero if accelerometer_bias is None else accelerometer_bias)
+    def at_rest(cls) -> State:
+        """At the origin, upright, without velocity and biases."""
+        return cls(np.eye(3), *np.zeros((4, 3)))
 
     def retract(self, delta: np.ndarray) -> State:
         """The state moved by an error delta (15,)."""
@@ -266,7 +264,8 @@ def stand_still(gyro: np.ndarray, accelerometer: np.ndarray, taus: np.ndarray, n
     up = accelerometer.mean(axis=0)
     length, g = np.linalg.norm(up), np.linalg.norm(GRAVITY)
     up = up / length
-    state = replace(State.at_rest(gyro.mean(axis=0), (length - g) * up), rotation=upright(up))
+    state = replace(State.at_rest(), rotation=upright(up), gyro_bias=gyro.mean(axis=0),
+                    accelerometer_bias=(length - g) * up)
 
     white = noise.covariance(taus.sum()).diagonal()
     across = np.eye(3) - np.outer(up, up)

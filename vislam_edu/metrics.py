@@ -124,14 +124,12 @@ def nees(error: np.ndarray, covariance: np.ndarray) -> np.ndarray:
     return np.sum(whitened**2, axis=-1)
 
 
-def coverage(error: np.ndarray, covariance: np.ndarray, probability: float = 0.95) -> float:
-    """Share of the errors that lie inside their ellipsoid of this probability; an honest filter has that share.
+def coverage(error: np.ndarray, covariance: np.ndarray) -> float:
+    """Share of the errors that lie inside their 95 % ellipsoid; an honest filter has 0.95.
 
-    error : (N, n). covariance : (N, n, n), positive definite. Raises ValueError for a probability outside (0, 1).
+    error : (N, n). covariance : (N, n, n), positive definite.
     """
-    if not 0 < probability < 1:
-        raise ValueError(f"an ellipsoid holds a probability in (0, 1), got {probability!r}")
-    return float(np.mean(nees(error, covariance) < kalman.chi_square_quantile(probability, np.shape(error)[-1])))
+    return float(np.mean(nees(error, covariance) < kalman.chi_square_quantile(0.95, np.shape(error)[-1])))
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,9 +146,8 @@ def pose_nees(error_state: ErrorState, true_world_T_imu: np.ndarray, world_T_imu
     """NEES of a pose, the error measured in the coordinates in which the filter's covariance is expressed.
 
     error_state : `ErrorState`; its `pose_difference` is the error, [position, rotation].
-    true_world_T_imu, world_T_imu : (..., 4, 4). covariance : (..., 6, 6) of that error.
-    A covariance of one error put beside an error of the other kind gives a number that means nothing.
-    NaN where the true pose is NaN.
+    true_world_T_imu, world_T_imu : (..., 4, 4). covariance : (..., 6, 6) of that error. A covariance of one error put
+    beside an error of the other kind gives a number that means nothing. NaN where the true pose is NaN.
     """
     error = np.asarray(error_state.pose_difference(true_world_T_imu, world_T_imu))
     covariance = np.asarray(covariance)

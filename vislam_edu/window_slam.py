@@ -219,22 +219,17 @@ def retire_none(belief: Belief, ids: np.ndarray) -> np.ndarray:
     return np.ones(len(belief.ids), dtype=bool)
 
 
-def keep_apart(belief: Belief, k: int) -> Belief:
-    """Associate nothing: what the tracker numbers differently stays different."""
-    return belief
-
-
 def run(drive: Drive, noise: Noise, error_state: ErrorState | None = None, *,
         motion_model: Callable[[Drive, Noise, ErrorState], motion.MotionModel] = motion.ImuDriven,
         process_frame: ProcessFrame = correlated, retire: Retire = retire_unseen,
-        associate: Callable[[Belief, int], Belief] = keep_apart, gate: float = 0.99, min_disparity: float = 1.0,
+        associate: Callable[[Belief, int], Belief] | None = None, gate: float = 0.99, min_disparity: float = 1.0,
         world_T_imu: np.ndarray | None = None, after: Step | None = None) -> Iterator[Step]:
     """The joint filter over a drive: yields one `Step` per frame, its beliefs `Belief`s.
 
     error_state : `RightPerturbation()` (the report's, the default), `RightInvariant()` or `InverseDepth()`.
     motion_model : `motion.ImuDriven` (the report's) or `motion.TwistAndBias`. process_frame : what a frame does,
     `correlated` or `as_report`. retire : which landmarks leave the state, `retire_unseen` or `retire_none`.
-    associate : what to do about places that the map may hold twice, `keep_apart` or an `association.LoopClosing`.
+    associate : what to do about places that the map may hold twice, an `association.LoopClosing`, or nothing.
     gate : probability that a good measurement passes, 1 for no gate.
     min_disparity : px, below it a landmark waits for a better view; `InverseDepth` needs no such limit.
     world_T_imu : (4, 4) pose at frame 0, the identity by default.
@@ -258,7 +253,7 @@ def run(drive: Drive, noise: Noise, error_state: ErrorState | None = None, *,
             prior = model.predict(kept, k - 1) if k else kept
             settings = replace(settings, predict_again=model.second_prediction(kept, k - 1) if k else None)
             prior, posterior, innovation = process_frame(prior, ids, pixels, settings)
-            posterior = associate(posterior, k)
+            posterior = associate(posterior, k) if associate else posterior
         born = posterior.ids[~contains(before.ids, posterior.ids)]
         retired = before.ids[~contains(posterior.ids, before.ids)]
         yield Step(k, drive.times[k], prior, posterior, innovation, born, retired)

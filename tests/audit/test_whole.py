@@ -9,7 +9,7 @@ import pytest
 from whole import few
 
 from vislam_edu import metrics, odometry, recordings, robust, se3, simulate
-from vislam_edu.audit import audit, imu_alignment, innovations, visual_odometry
+from vislam_edu.audit import audit, imu_alignment, visual_odometry, whole
 from vislam_edu.cli import main
 from vislam_edu.error_state import RightInvariant
 from vislam_edu.noise import Noise
@@ -229,7 +229,7 @@ def test_surprise_is_the_summed_nis():
     """Of an honest filter: four numbers a measurement, or a little less where the tail is cut off."""
     drive = few_tracks(0)
     noise = Noise(sigma_v=0.05, sigma_omega=0.002, sigma_px=0.5)
-    mean = innovations.surprise(drive, noise).sum() / (len(drive.landmark) - drive.n_landmarks)
+    mean = whole.surprise(drive, noise).sum() / (len(drive.landmark) - drive.n_landmarks)
     assert 3.4 < mean < 4.4
 
 

@@ -20,7 +20,6 @@ from . import (
     imu_alignment,
     imu_checks,
     imu_timing,
-    innovations,
     measured_noise,
     track_checks,
     track_health,
@@ -37,7 +36,7 @@ def audit(drive: Drive) -> Report:
     if report.alignment is None or report.findings:
         report = whole.explained(report, _judge)
     if report.alignment is None and len(report.drive.landmark):
-        readings = innovations.readings(report.cured(), report.noise.noise)
+        readings = whole.readings(report.cured(), report.noise.noise)
         report = replace(report, findings=(*report.findings, *readings))
     return replace(report, drive=drive, findings=(*certain, *report.findings))
 

@@ -7,15 +7,20 @@ as after all single cures, and less is left to cure: one explanation is likelier
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 import scipy  # scipy.optimize is loaded when it is used: `run` on a sound file need not wait for it
+from scipy.special import chdtrc
 
-from .. import se3
+from .. import kalman, se3, window_slam
 from ..drive import Drive
+from ..error_state import RightInvariant
+from ..noise import Noise
 from ..recordings.extrinsics import REGULAR_T_OPTICAL
-from .cures import Cure
+from .cures import Cure, swap_translation, use_imu_sample
 from .report import Finding, Report
+from .track_checks import SIGNIFICANCE, chance
 
 CERTAIN = 0.5  # a reading that leaves half as much of the tracks' motion unexplained is taken for right
 BETTER, AS_GOOD = 0.9, 1.1  # than the file as it is; as after the single cures
@@ -24,6 +29,7 @@ _MAX_STRIDE, _MOST_PAIRS = 10, 5000  # frames, and pairs of observations that ar
 _LONGEST = 5.0  # s, a step; more is another unit
 _LONGEST_BASELINE = 100.0  # m, likewise
 _TRIED = 3  # readings that are audited
+_LEAST = {"sigma_v": 0.01, "sigma_omega": 1e-3, "sigma_px": 0.3}  # of the filter that judges
 _NICE = np.array([1 / 4, 1 / 3, 1 / 2, 2 / 3, 3 / 4, 4 / 3, 3 / 2, 2, 3, 4])  # factors of image sizes
 
 
@@ -208,3 +214,41 @@ def _pixels(name: str, change: Callable) -> Cure:
 
 def _finding(fault, size, unit, text, cure, advice):
     return Finding(fault, size, unit, 0.0, text, cure, advice, whole=True)
+
+
+def surprise(drive: Drive, noise: Noise) -> np.ndarray:
+    """(T,): summed NIS of each frame's measurements, each counted up to twice the gate's threshold."""
+    most = 2 * kalman.gate_threshold(0.99)
+    return np.array([np.minimum(step.innovation.nis, most).sum()
+                     for step in window_slam.run(drive, noise, RightInvariant())])
+
+
+def readings(drive: Drive, noise: Noise) -> Iterator[Finding]:
+    """Another IMU sample, or -R t for the translation t, where the filter's innovations prefer it clearly.
+
+    For cameras that see too little for visual odometry: each combination of the two readings drives the joint filter.
+    """
+    noise = replace(noise, **{key: max(getattr(noise, key), least) for key, least in _LEAST.items()})
+    sample = "k" if drive.imu_sample == "k+1" else "k+1"
+    changes = (use_imu_sample(sample), swap_translation())
+    cost = {}
+    for chosen in product((False, True), repeat=2):
+        other = drive
+        for cure, wanted in zip(changes, chosen):
+            other = cure(other) if wanted else other
+        cost[chosen] = surprise(other, noise)
+    best = min(cost, key=lambda chosen: cost[chosen].sum())
+    faults = (("IMU timing", f"read it so: imu_sample={sample!r}", f"IMU sample {sample}"),
+              ("lever arm", "replace the translation t of cam_T_imu by -R t", "-R t for the translation of cam_T_imu"))
+    for i, (fault, advice, name) in enumerate(faults):
+        if not best[i]:
+            continue
+        without = cost[best[:i] + (False,) + best[i + 1:]]
+        # What the filter's own claims are off by makes every gain look that much more certain
+        inflation = max(1.0, cost[best].sum() / (4 * max(len(drive.landmark) - drive.n_landmarks, 1)))
+        gain = float((without - cost[best]).sum() / inflation)
+        p = chdtrc(1, gain)
+        if p < SIGNIFICANCE:
+            yield Finding(fault, gain, "of squared z", chance(p),
+                          f"a filter that reads {name} is contradicted less by the tracks: summed NIS "
+                          f"{cost[best].sum():.0f} in place of {without.sum():.0f}", changes[i], advice)

@@ -119,22 +119,19 @@ def write(result, folder, smoothed=None, lens=None, warnings=()):
             poses = drive.left_T_cam @ poses @ se3.inverse(drive.left_T_cam)
         recordings.save_kitti(folder / "kitti" / f"{name}.txt", poses)
         recordings.save_tum(folder / "tum" / f"{name}.txt", drive.times, poses)
-    np.savez_compressed(
-        folder / "result.npz",
-        times=drive.times,
-        world_T_imu=slam.trajectory.world_T_imu,
-        pose_covariance=symmetric(slam.trajectory.covariance),
-        dead_reckoning_world_T_imu=result.dead_reckoning.world_T_imu,
-        dead_reckoning_pose_covariance=symmetric(result.dead_reckoning.covariance),
-        landmark_ids=np.flatnonzero(slam.map.seen),
-        landmarks=slam.map.landmarks[slam.map.seen],
-        landmark_covariance=symmetric(slam.map.covariance[slam.map.seen]),
-        **({} if result.calibration is None else {"calibration_covariance": result.calibration}),
-        **({} if smoothed is None else {"batch_world_T_imu": smoothed.solution.estimate.world_T_imu,
-                                        "batch_landmarks": smoothed.solution.estimate.landmarks}),
-    )
+    seen = slam.map.seen
+    arrays = {"times": drive.times, "landmark_ids": np.flatnonzero(seen), "landmarks": slam.map.landmarks[seen],
+              "landmark_covariance": symmetric(slam.map.covariance[seen])}
+    for prefix, trajectory in (("", slam.trajectory), ("dead_reckoning_", result.dead_reckoning)):
+        arrays |= {f"{prefix}world_T_imu": trajectory.world_T_imu,
+                   f"{prefix}pose_covariance": symmetric(trajectory.covariance)}
+    if result.calibration is not None:
+        arrays["calibration_covariance"] = result.calibration
     if smoothed is not None:
-        report_figures.batch(result, smoothed.solution.estimate.world_T_imu).savefig(folder / "fig8_batch.png", **PNG)
+        estimate = smoothed.solution.estimate
+        arrays |= {"batch_world_T_imu": estimate.world_T_imu, "batch_landmarks": estimate.landmarks}
+        report_figures.batch(result, estimate.world_T_imu).savefig(folder / "fig8_batch.png", **PNG)
+    np.savez_compressed(folder / "result.npz", **arrays)
     for name, draw in report_figures.FIGURES.items():
         draw(result).savefig(folder / f"{name}.png", **PNG)
     return numbers

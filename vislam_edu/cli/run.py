@@ -109,8 +109,8 @@ def prepare(arguments):
             base = pipeline.noise_of_real_drive(report.noise)
         if not arguments.quiet:
             say(report, end="\n\n")
-            say("\n".join(["applied:", *(f"    {cure}" for cure in drive.history)] if drive.history else
-                            ["nothing to cure"]), end="\n\n")
+            done = "".join(f"\n    {cure}" for cure in drive.history)
+            say(f"applied:{done}" if done else "nothing to cure", end="\n\n")
             if "metre" in options:
                 say(scale.EXPLAINED, end="\n\n")
     else:

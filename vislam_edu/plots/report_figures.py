@@ -1,7 +1,8 @@
 """The report's figures 1 to 7; `FIGURES` draws all of them from a `pipeline.Result`.
 
 Figures 8 to 14 are the same seven for another recording, figures 15 to 20 are 5 to 7 for other noise: run the
-pipeline again and draw its result. Each function returns a Figure whose title says what was found.
+pipeline again and draw its result. Each function takes what it draws (a Drive, Trajectories, `MapBelief`s, a
+`pipeline.Mapped`, a `pipeline.Slam`) and returns a Figure whose title says what was found.
 """
 
 import numpy as np
@@ -13,9 +14,8 @@ ELLIPSES = 60  # at most as many landmarks get an ellipse: all of them would hid
 
 
 @style.styled
-def initial_trajectory(result):
+def initial_trajectory(drive, dead_reckoning):
     """Figure 1: the IMU alone."""
-    drive, dead_reckoning = result.drive, result.dead_reckoning
     driven = np.linalg.norm(np.diff(dead_reckoning.world_T_imu[:, :3, 3], axis=0), axis=-1).sum()
     title = f"Dead reckoning over {driven:.0f} m in {drive.duration:.0f} s"
     error = _final_error(drive, dead_reckoning)
@@ -25,65 +25,70 @@ def initial_trajectory(result):
 
 
 @style.styled
-def initial_landmarks(result):
+def initial_landmarks(drive, dead_reckoning, initial):
     """Figure 2: each landmark where its first good stereo view puts it, seen from the dead-reckoned pose."""
-    return _one_map(result, result.initial, "dead_reckoning", f"{np.count_nonzero(result.initial.seen)} of "
-                    f"{result.drive.n_landmarks} landmarks triangulated at first sight from dead reckoning")
+    found = np.count_nonzero(initial.seen)
+    title = f"{found} of {drive.n_landmarks} landmarks triangulated at first sight from dead reckoning"
+    return _one_map(drive, initial, "dead_reckoning", dead_reckoning, "dead_reckoning", title)
 
 
 @style.styled
-def mapped_landmarks(result):
+def mapped_landmarks(drive, dead_reckoning, mapped):
     """Figure 3: the landmark EKF on dead-reckoned poses, which it assumes to be true."""
-    mapped = result.mapped
     share = 100 * mapped.contradicting / max(1, mapped.measurements)
-    return _one_map(result, mapped.map, "mapping", f"Mapping EKF on dead-reckoned poses: {share:.0f} % of "
-                    f"{mapped.measurements} measurements contradict them (a 99 % gate would keep these out)")
+    title = (f"Mapping EKF on dead-reckoned poses: {share:.0f} % of {mapped.measurements} measurements "
+             "contradict them (a 99 % gate would keep these out)")
+    return _one_map(drive, mapped.map, "mapping", dead_reckoning, "dead_reckoning", title)
 
 
 @style.styled
-def initial_and_mapped_landmarks(result):
+def initial_and_mapped_landmarks(drive, dead_reckoning, initial, mapped):
     """Figure 4: what the landmark EKF changed."""
-    maps = {"dead_reckoning": result.initial, "mapping": result.mapped.map}
-    title = (f"The mapping EKF moves a landmark by {_median_move(*maps.values()):.1f} m (median); "
-             "the path stays as it was")
-    return _several_maps(result.drive, maps, {"dead_reckoning": result.dead_reckoning}, title)
+    title = (f"The mapping EKF moves a landmark by {_median_move(initial, mapped.map):.1f} m "
+             "(median); the path stays as it was")
+    maps = {"dead_reckoning": initial, "mapping": mapped.map}
+    return _several_maps(drive, maps, {"dead_reckoning": dead_reckoning}, title)
 
 
 @style.styled
-def slam_landmarks(result):
+def slam_landmarks(drive, slam):
     """Figure 5: landmarks and path of the joint filter."""
-    slam = result.slam
-    return _one_map(result, slam.map, slam.method, f"SLAM places {np.count_nonzero(slam.map.seen)} landmarks; its gate "
-                    f"keeps {100 * slam.rejected_share:.1f} % of {slam.measurements} measurements out")
+    title = (f"SLAM places {np.count_nonzero(slam.map.seen)} landmarks; its gate keeps "
+             f"{100 * slam.rejected_share:.1f} % of {slam.measurements} measurements out")
+    return _one_map(drive, slam.map, slam.method, slam.trajectory, slam.method, title)
 
 
 @style.styled
-def both_trajectories(result):
+def both_trajectories(drive, dead_reckoning, slam):
     """Figure 6: the path without and with the cameras."""
-    drive, estimates = result.drive, _paths(result)
-    before, after = (_final_error(drive, trajectory) for trajectory in estimates.values())
+    estimates = {"dead_reckoning": dead_reckoning, slam.method: slam.trajectory}
+    before, after = _final_error(drive, dead_reckoning), _final_error(drive, slam.trajectory)
     if before is None:
         apart = np.subtract(*[t.world_T_imu[-1, :3, 3] for t in estimates.values()])
         title = f"SLAM ends {np.linalg.norm(apart):.1f} m from where dead reckoning does"
     else:
         title = f"SLAM ends {after:.1f} m from the truth, dead reckoning {before:.1f} m"
-    title += f"; SLAM claims an error below {_final_claim(result.slam.trajectory):.1f} m (95 %{_label(drive)})"
+    title += f"; SLAM claims an error below {_final_claim(slam.trajectory):.1f} m (95 %{_label(drive)})"
     return drawing.trajectories(drive, estimates, title)
 
 
 @style.styled
-def all_landmarks(result):
+def all_landmarks(drive, dead_reckoning, initial, mapped, slam):
     """Figure 7: the three maps together."""
-    maps = {"dead_reckoning": result.initial, "mapping": result.mapped.map, result.slam.method: result.slam.map}
-    moved = _median_move(result.mapped.map, result.slam.map)
+    moved = _median_move(mapped.map, slam.map)
     title = f"SLAM puts a landmark {moved:.1f} m (median) from where the mapping EKF had it"
-    return _several_maps(result.drive, maps, _paths(result), title)
+    method = slam.method
+    maps = {"dead_reckoning": initial, "mapping": mapped.map, method: slam.map}
+    paths = {"dead_reckoning": dead_reckoning, method: slam.trajectory}
+    return _several_maps(drive, maps, paths, title)
 
 
 @style.styled
 def batch(result, world_T_imu):
-    """Dead reckoning, the filter and the batch estimate (T, 4, 4) on one map."""
-    paths = {name: trajectory.world_T_imu for name, trajectory in _paths(result).items()} | {"batch": world_T_imu}
+    """Dead reckoning, the filter and the batch estimate (T, 4, 4) on one map. result : `pipeline.Result`."""
+    method = result.slam.method
+    paths = {"dead_reckoning": result.dead_reckoning.world_T_imu, method: result.slam.trajectory.world_T_imu,
+             "batch": world_T_imu}
     figure, axes = drawing.new_map(_view(result.drive, *paths.values()))
     drawing.draw_truth(axes, result.drive)
     for name, poses in paths.items():
@@ -92,26 +97,29 @@ def batch(result, world_T_imu):
     return drawing.finish(figure, f"The batch estimate and the filter are {apart.mean():.2f} m apart on average")
 
 
-FIGURES = {"fig1_initial_trajectory": initial_trajectory, "fig2_initial_landmarks": initial_landmarks,
-           "fig3_mapped_landmarks": mapped_landmarks, "fig4_initial_and_mapped_landmarks": initial_and_mapped_landmarks,
-           "fig5_slam_landmarks": slam_landmarks, "fig6_initial_and_slam_trajectory": both_trajectories,
-           "fig7_all_landmarks": all_landmarks}  # by the name of the file
+FIGURES = {  # name of the file: the figure of a `pipeline.Result`
+    "fig1_initial_trajectory": lambda r: initial_trajectory(r.drive, r.dead_reckoning),
+    "fig2_initial_landmarks": lambda r: initial_landmarks(r.drive, r.dead_reckoning, r.initial),
+    "fig3_mapped_landmarks": lambda r: mapped_landmarks(r.drive, r.dead_reckoning, r.mapped),
+    "fig4_initial_and_mapped_landmarks":
+        lambda r: initial_and_mapped_landmarks(r.drive, r.dead_reckoning, r.initial, r.mapped),
+    "fig5_slam_landmarks": lambda r: slam_landmarks(r.drive, r.slam),
+    "fig6_initial_and_slam_trajectory": lambda r: both_trajectories(r.drive, r.dead_reckoning, r.slam),
+    "fig7_all_landmarks": lambda r: all_landmarks(r.drive, r.dead_reckoning, r.initial, r.mapped, r.slam),
+}
 
 
-def _paths(result):
-    return {"dead_reckoning": result.dead_reckoning, result.slam.method: result.slam.trajectory}
+def _one_map(drive, belief, method, trajectory, path, title):
+    """A map with its path and ellipses, the truth beside it; its title ends with how wrong the map is.
 
-
-def _one_map(result, belief, method, title):
-    """A map with ellipses, its path and the truth beside it; the title ends with how wrong the map is."""
-    drive, path = result.drive, method if method == result.slam.method else "dead_reckoning"
-    poses = _paths(result)[path].world_T_imu
-    view = _view(drive, poses)
+    method, path : keys of `style.COLOURS` for the map and for the path.
+    """
+    view = _view(drive, trajectory.world_T_imu)
     figure, axes = drawing.new_map(view)
     _draw_landmarks(axes, view, belief, method)
     _draw_some_ellipses(axes, view, belief, method)
     drawing.draw_truth(axes, drive)
-    drawing.draw_trajectory(axes, poses, path, label=f"path, {style.LABELS[path]}")
+    drawing.draw_trajectory(axes, trajectory.world_T_imu, path, label=f"path, {style.LABELS[path]}")
     return drawing.finish(figure, title + _landmark_error(drive, belief))
 
 

@@ -126,19 +126,16 @@ def line(method):
     return {"color": COLOURS[method], "linestyle": LINESTYLES[method], "label": LABELS.get(method, method)}
 
 
-def ellipse_points(mean, covariance, probability=0.95, n=60):
-    """Outline of the ellipse that holds a 2-D Gaussian with this probability.
+def ellipse_points(mean, covariance, n=60):
+    """Outline of the ellipse that holds a 2-D Gaussian with a probability of 95 %.
 
     mean : (..., 2). covariance : (..., 2, 2), same units squared, positive semi-definite.
     Returns (..., n, 2), a closed outline: the first point again at the end.
     The squared distance of a Gaussian in two dimensions is chi-square with 2 degrees of freedom; "two sigma"
     in the plane would hold 86 %, not 95 %.
-    Raises ValueError for a probability outside (0, 1).
     """
-    if not 0 < probability < 1:
-        raise ValueError(f"probability must lie in (0, 1), got {probability!r}")
     values, axes = np.linalg.eigh(np.asarray(covariance, dtype=float))
-    radii = np.sqrt(kalman.chi_square_quantile(probability, 2) * np.maximum(values, 0.0))
+    radii = np.sqrt(kalman.chi_square_quantile(0.95, 2) * np.maximum(values, 0.0))
     angle = np.linspace(0, 2 * np.pi, n)
     circle = np.stack([np.cos(angle), np.sin(angle)])
     outline = (axes * radii[..., None, :]) @ circle

@@ -142,8 +142,8 @@ def _maker(rig: lens.Rig, said: str) -> Callable[..., Drive]:
     from .. import tracking
 
     def make(frames, times, twists, **fields) -> Drive:
-        return Drive(times=times, twists=twists, camera=rig.camera, history=(said,), **tracking.as_fields(frames),
-                     **fields)
+        fields |= tracking.as_fields(frames)
+        return Drive(times=times, twists=twists, camera=rig.camera, history=(said,), **fields)
     return make
 
 

@@ -61,9 +61,8 @@ class Study:
 
     seeds : (N,). nees_pose, nees_rotation, nees_position : (N, T), see `metrics.pose_nees`.
     nis : (N,) mean NIS of one measurement.
-    error : (N, T) m, distance of the estimated from the true position, both seen from frame 0: the drift,
-    which is what the sensors can tell. error_world : (N, T) m, the same in the world, the error of the
-    initial pose included.
+    error : (N, T) m, distance of the estimated from the true position, both seen from frame 0: the drift, which is what
+    the sensors can tell. error_world : (N, T) m, the same in the world, the error of the initial pose included.
     """
 
     seeds: np.ndarray

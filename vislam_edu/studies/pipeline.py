@@ -141,8 +141,7 @@ def batch_of_real_drive(drive, noise, scale_sigma=0.0) -> batch.Problem:
     return batch.Problem(drive, noise, walk_sigma=(0.1, 0.015), imu_sigma=imu_sigma, loss=batch.cauchy)
 
 
-def joint(drive, noise, error_state, *, metre=None, method="slam", progress=no_progress,
-          **options) -> Slam:
+def joint(drive, noise, error_state, *, metre=None, method="slam", progress=no_progress, **options) -> Slam:
     """The joint filter over a drive, in the metre asked for.
 
     metre : None, the filter's, which is the cameras', or `scale.of_the_imu`. method : key of `style.COLOURS` that it
