@@ -32,11 +32,16 @@ def launch(playwright):
     return playwright.chromium.launch(executable_path=CHROMIUM, args=options)
 
 
+# What JupyterLab says on a busy machine when a kernel ends before its debugger has answered.
+NOISE = "Could not restore the debugger state"
+
+
 def listen(page, *allowed):
     """Collect in `page.complaints` what goes wrong behind the scenes. allowed : beginnings of addresses."""
     page.complaints = []
     page.on("pageerror", lambda error: page.complaints.append(f"error in the page: {error}"))
-    page.on("console", lambda line: line.type == "error" and page.complaints.append(f"console: {line.text}"))
+    page.on("console", lambda line: line.type == "error" and not line.text.startswith(NOISE)
+            and page.complaints.append(f"console: {line.text}"))
     page.on("request", lambda request: request.url.startswith((*allowed, "data:", "blob:"))
             or page.complaints.append(f"request: {request.url}"))
 

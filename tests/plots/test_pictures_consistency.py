@@ -134,7 +134,7 @@ def test_a_drive_without_truth_is_refused(drive):
 def test_decades_become_a_logarithmic_slider(tuned):
     panel = Panel(tuned)
     slider = panel.controls["sigma_omega"]
-    assert slider.spec["kind"] == "log"
+    assert slider.spec["kind"] == "decades"
     before = panel.image.value
     slider.value = 0.5
     assert panel.state["sigma_omega"] == 0.5

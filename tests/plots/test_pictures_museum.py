@@ -63,7 +63,7 @@ def test_right_filter_and_truth_stand_still(picture, visits, drive):
 def test_the_list_offers_every_mistake_and_says_its_numbers(picture, visits):
     panel = Panel(picture)
     choice = panel.controls["piece"]
-    assert choice.spec["names"] == [seen.title for seen in visits[1:]]
+    assert choice.spec["names"] == tuple(seen.title for seen in visits[1:])
     pictures = set()
     for seen in visits[1:]:
         choice.value = seen.title
