@@ -1,6 +1,6 @@
 """Files, options and notebooks damaged by chance, from a seed: each ends well or in one line with status 2.
 
-    python tests/fuzz.py                     all kinds, 2000 cases, ten minutes
+    python tests/fuzz.py                     all kinds, 2000 cases, about five minutes
     python tests/fuzz.py --kind zip --cases 1 --seed 1234      one case again
 
 A case fails when the command line shows a traceback or an error that was not foreseen, more than one line on stderr,
